@@ -1,0 +1,316 @@
+//! Telemetry in Parquet: [`Recorder`] writes, [`Recording`] reads. `README.md` of this crate is
+//! the specification of the table.
+
+use crate::SCHEMA_VERSION;
+use crate::channel::{Channel, ChannelSet};
+use crate::error::{Error, Result, temporary};
+use crate::fault::FaultState;
+use crate::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
+use arrow::array::{Array, ArrayRef, AsArray, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
+use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, UInt64Type};
+use parquet::arrow::ArrowWriter;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::basic::{Compression, Encoding, ZstdLevel};
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::schema::types::ColumnPath;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What made a file; stored in its key-value metadata under `ema.*`.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Provenance {
+    pub actuator: String,
+    /// fingerprint of the parameters
+    pub parameters: String,
+    pub sequence: String,
+    pub sequence_fingerprint: String,
+    /// fingerprint of the fault grid, empty for a single run
+    pub grid: String,
+    /// fingerprint of the sensor model, or `none`
+    pub sensors: String,
+    /// effects beyond the base model, comma separated
+    pub effects: String,
+    pub rate_hz: f64,
+    pub step_s: f64,
+    pub seed: u64,
+    /// source revision of the program
+    pub commit: String,
+    /// `ntb`, `sm` or `measured`
+    pub model: String,
+}
+
+impl Provenance {
+    /// As key-value pairs, schema version first.
+    pub fn pairs(&self) -> Vec<(String, String)> {
+        let mut v = vec![("ema.schema_version".to_string(), SCHEMA_VERSION.to_string())];
+        for (k, x) in [
+            ("actuator", self.actuator.clone()),
+            ("parameters", self.parameters.clone()),
+            ("sequence", self.sequence.clone()),
+            ("sequence_fingerprint", self.sequence_fingerprint.clone()),
+            ("grid", self.grid.clone()),
+            ("sensors", self.sensors.clone()),
+            ("effects", self.effects.clone()),
+            ("rate_hz", self.rate_hz.to_string()),
+            ("step_s", self.step_s.to_string()),
+            ("seed", self.seed.to_string()),
+            ("commit", self.commit.clone()),
+            ("model", self.model.clone()),
+        ] {
+            v.push((format!("ema.{k}"), x));
+        }
+        v
+    }
+
+    /// From key-value pairs; refuses another schema version.
+    pub fn from_pairs(path: &Path, pairs: &BTreeMap<String, String>) -> Result<Self> {
+        let file = path.display().to_string();
+        let get = |k: &str| pairs.get(&format!("ema.{k}")).cloned();
+        let version = get("schema_version").unwrap_or_else(|| "none".into());
+        if version != SCHEMA_VERSION.to_string() {
+            let allowed = format!("schema version {SCHEMA_VERSION}");
+            return Err(Error::bad(file, "metadata `ema.schema_version`", version, allowed));
+        }
+        let number = |k: &str| -> Result<f64> {
+            let text = get(k).unwrap_or_default();
+            text.parse().map_err(|_| Error::bad(&file, format!("metadata `ema.{k}`"), &text, "a number"))
+        };
+        Ok(Self {
+            actuator: get("actuator").unwrap_or_default(),
+            parameters: get("parameters").unwrap_or_default(),
+            sequence: get("sequence").unwrap_or_default(),
+            sequence_fingerprint: get("sequence_fingerprint").unwrap_or_default(),
+            grid: get("grid").unwrap_or_default(),
+            sensors: get("sensors").unwrap_or_default(),
+            effects: get("effects").unwrap_or_default(),
+            rate_hz: number("rate_hz")?,
+            step_s: number("step_s")?,
+            seed: number("seed")? as u64,
+            commit: get("commit").unwrap_or_default(),
+            model: get("model").unwrap_or_default(),
+        })
+    }
+}
+
+/// Writer settings shared by all tables: zstd level 1, no dictionary, byte-stream-split for
+/// floats, delta for time, dictionary for the columns that are constant over a run.
+pub fn writer_properties(schema: &Schema, pairs: Vec<(String, String)>) -> WriterProperties {
+    let mut b = WriterProperties::builder()
+        .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).expect("1 is a level")))
+        .set_dictionary_enabled(false)
+        .set_statistics_enabled(EnabledStatistics::Page)
+        .set_data_page_row_count_limit(usize::MAX)
+        .set_key_value_metadata(Some(pairs.into_iter().map(|(k, v)| KeyValue::new(k, v)).collect()));
+    for f in schema.fields() {
+        let column = ColumnPath::from(f.name().as_str());
+        b = match (f.name().as_str(), f.data_type()) {
+            ("run" | "fsj" | "zeta" | "rest_angle_rad", _) => b.set_column_dictionary_enabled(column, true),
+            (_, DataType::Float32 | DataType::Float64) => b.set_column_encoding(column, Encoding::BYTE_STREAM_SPLIT),
+            (_, DataType::Int64) => b.set_column_encoding(column, Encoding::DELTA_BINARY_PACKED),
+            _ => b,
+        };
+    }
+    b.build()
+}
+
+/// Writes runs into one Parquet file, a row group a run. The file appears under its name only
+/// when [`Recorder::finish`] has written all of it.
+pub struct Recorder {
+    path: PathBuf,
+    tmp: PathBuf,
+    schema: Arc<Schema>,
+    single: bool,
+    rate_hz: f64,
+    writer: Option<ArrowWriter<File>>,
+    run: Option<u64>,
+}
+
+impl Recorder {
+    /// * `channels` columns of the file
+    /// * `single` samples as f32: right where they come out of a sensor model, which has rounded
+    ///   them to f32 already
+    pub fn create(path: &Path, provenance: &Provenance, channels: ChannelSet, single: bool) -> Result<Self> {
+        let mut fields = vec![
+            Field::new("run", DataType::UInt64, false),
+            Field::new("fsj", DataType::Float64, true),
+            Field::new("zeta", DataType::Float64, true),
+            Field::new("rest_angle_rad", DataType::Float64, true),
+            Field::new("t_ns", DataType::Int64, false),
+        ];
+        let kind = if single { DataType::Float32 } else { DataType::Float64 };
+        for c in channels.iter() {
+            let unit: std::collections::HashMap<String, String> = [("unit".to_string(), c.unit().to_string())].into();
+            fields.push(Field::new(c.name(), kind.clone(), false).with_metadata(unit));
+        }
+        let schema = Arc::new(Schema::new(fields));
+        let properties = writer_properties(&schema, provenance.pairs());
+        let tmp = temporary(path);
+        let file = File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;
+        let writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(|e| Error::torn(path, e))?;
+        Ok(Self { path: path.into(), tmp, schema, single, rate_hz: provenance.rate_hz, writer: Some(writer), run: None })
+    }
+
+    /// Ends the file and gives it its name.
+    pub fn finish(mut self) -> Result<()> {
+        let writer = self.writer.take().expect("finish is called once");
+        let file = writer.into_inner().map_err(|e| Error::torn(&self.path, e))?;
+        file.sync_all().map_err(|e| Error::io(&self.path, "cannot be written", e))?;
+        std::fs::rename(&self.tmp, &self.path).map_err(|e| Error::io(&self.path, "cannot be renamed", e))
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        if self.writer.take().is_some() {
+            let _ = std::fs::remove_file(&self.tmp);
+        }
+    }
+}
+
+impl TelemetrySink for Recorder {
+    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> Result<()> {
+        let writer = self.writer.as_mut().expect("not finished");
+        if self.run.is_some_and(|r| r != header.run) {
+            writer.flush().map_err(|e| Error::torn(&self.path, e))?;
+        }
+        self.run = Some(header.run);
+        let n = view.rows;
+        let constant = |x: Option<f64>| -> ArrayRef { Arc::new(Float64Array::from(vec![x; n])) };
+        let time = |i: usize| ((view.first + i as u64) as f64 / self.rate_hz * 1e9).round() as i64;
+        let mut columns: Vec<ArrayRef> = vec![
+            Arc::new(UInt64Array::from(vec![header.run; n])),
+            constant(header.fault.map(|f| f.fsj)),
+            constant(header.fault.map(|f| f.zeta)),
+            constant(header.rest_angle_rad),
+            Arc::new(Int64Array::from_iter_values((0..n).map(time))),
+        ];
+        for f in &self.schema.fields()[5..] {
+            let c = Channel::from_name(f.name()).expect("the schema was made of channels");
+            let values = view
+                .column(c)
+                .ok_or_else(|| Error::torn(&self.path, format!("a block without channel {}", c.name())))?;
+            columns.push(if self.single {
+                Arc::new(Float32Array::from_iter_values(values.iter().map(|&x| x as f32)))
+            } else {
+                Arc::new(Float64Array::from_iter_values(values.iter().copied()))
+            });
+        }
+        let batch = RecordBatch::try_new(self.schema.clone(), columns).map_err(|e| Error::torn(&self.path, e))?;
+        writer.write(&batch).map_err(|e| Error::torn(&self.path, e))
+    }
+}
+
+/// A telemetry file opened for reading.
+pub struct Recording {
+    path: PathBuf,
+    pub provenance: Provenance,
+    pub channels: ChannelSet,
+    pub rows: u64,
+}
+
+fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
+    let file = File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+    let size = file.metadata().map_err(|e| Error::io(path, "cannot be read", e))?.len();
+    if size == 0 {
+        return Err(Error::torn(path, "empty file (0 bytes); allowed: a Parquet or CSV telemetry file"));
+    }
+    ParquetRecordBatchReaderBuilder::try_new(file)
+        .map_err(|e| Error::torn(path, format!("not a whole Parquet file of {size} bytes ({e})")))
+}
+
+/// Key-value metadata of a Parquet file.
+pub fn metadata(path: &Path) -> Result<BTreeMap<String, String>> {
+    Ok(pairs(&open(path)?))
+}
+
+fn pairs(builder: &ParquetRecordBatchReaderBuilder<File>) -> BTreeMap<String, String> {
+    let list = builder.metadata().file_metadata().key_value_metadata();
+    list.into_iter().flatten().filter_map(|kv| Some((kv.key.clone(), kv.value.clone()?))).collect()
+}
+
+impl Recording {
+    /// Opens a telemetry file and checks its schema version and columns.
+    pub fn open(path: &Path) -> Result<Self> {
+        let builder = open(path)?;
+        let provenance = Provenance::from_pairs(path, &pairs(&builder))?;
+        let names: Vec<&str> = builder.schema().fields().iter().map(|f| f.name().as_str()).collect();
+        for needed in ["run", "t_ns"] {
+            if !names.contains(&needed) {
+                let allowed = format!("column `{needed}`");
+                return Err(Error::bad(path.display().to_string(), "columns", names.join(","), allowed));
+            }
+        }
+        let channels = ChannelSet::of(names.iter().filter_map(|n| Channel::from_name(n)));
+        let rows = builder.metadata().file_metadata().num_rows() as u64;
+        Ok(Self { path: path.into(), provenance, channels, rows })
+    }
+
+    /// Hands all rows to `sink`, run after run, in blocks of at most `block` rows.
+    pub fn replay(&self, block: usize, sink: &mut dyn TelemetrySink) -> Result<()> {
+        let torn = |e: &dyn std::fmt::Display| Error::torn(&self.path, e);
+        let reader = open(&self.path)?.with_batch_size(block).build().map_err(|e| torn(&e))?;
+        let mut buffer = TelemetryBuffer::new(self.channels, block);
+        let mut next = (u64::MAX, 0);
+        for batch in reader {
+            let batch = batch.map_err(|e| torn(&e))?;
+            let column = |name: &str| batch.column_by_name(name).expect("checked when opened");
+            let wrong = |name: &str, t: &DataType| {
+                Error::bad(self.path.display().to_string(), format!("column `{name}`"), t, "the type of schemas/README.md")
+            };
+            let run = column("run");
+            let run = run.as_primitive_opt::<UInt64Type>().ok_or_else(|| wrong("run", run.data_type()))?;
+            let t_ns = column("t_ns");
+            let t_ns = t_ns.as_primitive_opt::<Int64Type>().ok_or_else(|| wrong("t_ns", t_ns.data_type()))?;
+            let optional = |name: &str, i: usize| -> Option<f64> {
+                let c = batch.column_by_name(name)?.as_primitive_opt::<Float64Type>()?;
+                (!c.is_null(i)).then(|| c.value(i))
+            };
+            let mut from = 0;
+            while from < batch.num_rows() {
+                let id = run.value(from);
+                let to = (from..batch.num_rows()).find(|&i| run.value(i) != id).unwrap_or(batch.num_rows());
+                let first = (t_ns.value(from) as f64 * 1e-9 * self.provenance.rate_hz).round() as u64;
+                if next.0 == id && next.1 != first {
+                    let place = format!("run {id}, t_ns {}", t_ns.value(from));
+                    let allowed = format!("sample {} without a gap", next.1);
+                    return Err(Error::bad(self.path.display().to_string(), place, format!("sample {first}"), allowed));
+                }
+                next = (id, first + (to - from) as u64);
+                for c in self.channels.iter() {
+                    let values = column(c.name());
+                    let out = buffer.column_mut(c).expect("made with these channels");
+                    out.clear();
+                    if let Some(v) = values.as_primitive_opt::<Float64Type>() {
+                        out.extend_from_slice(&v.values()[from..to]);
+                    } else if let Some(v) = values.as_primitive_opt::<Float32Type>() {
+                        out.extend(v.values()[from..to].iter().map(|&x| x as f64));
+                    } else {
+                        return Err(wrong(c.name(), values.data_type()));
+                    }
+                }
+                buffer.first = first;
+                buffer.set_rows(to - from);
+                let header = TelemetryHeader {
+                    run: id,
+                    actuator: self.provenance.actuator.clone(),
+                    parameters: self.provenance.parameters.clone(),
+                    sensors: self.provenance.sensors.clone(),
+                    sequence: self.provenance.sequence.clone(),
+                    rate_hz: self.provenance.rate_hz,
+                    channels: self.channels,
+                    fault: match (optional("fsj", from), optional("zeta", from)) {
+                        (Some(fsj), Some(zeta)) => Some(FaultState { fsj, zeta }),
+                        _ => None,
+                    },
+                    rest_angle_rad: optional("rest_angle_rad", from),
+                };
+                sink.accept(&header, &buffer.view())?;
+                from = to;
+            }
+        }
+        Ok(())
+    }
+}

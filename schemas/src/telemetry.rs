@@ -1,0 +1,171 @@
+//! Telemetry as borrowed columns: one view, whatever the medium.
+
+use crate::channel::{Channel, ChannelSet};
+use crate::fault::FaultState;
+
+/// What holds for every sample of one run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TelemetryHeader {
+    /// number of the run in its plan, or 0
+    pub run: u64,
+    /// actuator name
+    pub actuator: String,
+    /// fingerprint of the actuator's parameters, empty where unknown
+    pub parameters: String,
+    /// fingerprint of the sensor model, `"none"` without sensors, empty where unknown
+    pub sensors: String,
+    pub sequence: String,
+    /// samples a second [Hz]
+    pub rate_hz: f64,
+    pub channels: ChannelSet,
+    /// faults of a simulated run
+    pub fault: Option<FaultState>,
+    /// rotor angle at rest [rad], of a simulated run
+    pub rest_angle_rad: Option<f64>,
+}
+
+/// A block of consecutive samples. Sample `n` (counted from 1) is of the interval that ends at
+/// `n / rate`.
+#[derive(Clone, Copy, Debug)]
+pub struct TelemetryView<'a> {
+    /// number of the first sample
+    pub first: u64,
+    pub rows: usize,
+    columns: [Option<&'a [f64]>; Channel::COUNT],
+}
+
+impl<'a> TelemetryView<'a> {
+    pub fn new(first: u64, rows: usize) -> Self {
+        Self { first, rows, columns: [None; Channel::COUNT] }
+    }
+
+    /// Adds a column of `rows` values, in the channel's unit.
+    ///
+    /// # Panics
+    /// If the column's length is not `rows`: a bug of the caller.
+    pub fn with(mut self, channel: Channel, values: &'a [f64]) -> Self {
+        assert_eq!(values.len(), self.rows, "column {} of another length", channel.name());
+        self.columns[channel as usize] = Some(values);
+        self
+    }
+
+    pub fn column(&self, channel: Channel) -> Option<&'a [f64]> {
+        self.columns[channel as usize]
+    }
+
+    /// Rows `from..to` of the view.
+    pub fn slice(&self, from: usize, to: usize) -> TelemetryView<'a> {
+        let mut v = TelemetryView::new(self.first + from as u64, to - from);
+        for (to_col, col) in v.columns.iter_mut().zip(&self.columns) {
+            *to_col = col.map(|c| &c[from..to]);
+        }
+        v
+    }
+}
+
+/// Owned columns that a producer fills and lends as a view.
+#[derive(Clone, Debug, Default)]
+pub struct TelemetryBuffer {
+    pub first: u64,
+    pub rows: usize,
+    columns: Vec<(Channel, Vec<f64>)>,
+}
+
+impl TelemetryBuffer {
+    pub fn new(channels: ChannelSet, capacity: usize) -> Self {
+        Self { first: 1, rows: 0, columns: channels.iter().map(|c| (c, Vec::with_capacity(capacity))).collect() }
+    }
+    /// Appends one row; `value` gives the sample of each channel.
+    #[inline]
+    pub fn push(&mut self, mut value: impl FnMut(Channel) -> f64) {
+        for (c, v) in &mut self.columns {
+            v.push(value(*c));
+        }
+        self.rows += 1;
+    }
+    pub fn view(&self) -> TelemetryView<'_> {
+        let mut v = TelemetryView::new(self.first, self.rows);
+        for (c, values) in &self.columns {
+            v = v.with(*c, values);
+        }
+        v
+    }
+    pub fn channels(&self) -> ChannelSet {
+        ChannelSet::of(self.columns.iter().map(|(c, _)| *c))
+    }
+    pub fn column_mut(&mut self, channel: Channel) -> Option<&mut Vec<f64>> {
+        self.columns.iter_mut().find(|(c, _)| *c == channel).map(|(_, v)| v)
+    }
+    pub fn column(&self, channel: Channel) -> Option<&[f64]> {
+        self.columns.iter().find(|(c, _)| *c == channel).map(|(_, v)| v.as_slice())
+    }
+    /// Starts the next block after this one.
+    pub fn advance(&mut self) {
+        self.first += self.rows as u64;
+        self.rows = 0;
+        for (_, v) in &mut self.columns {
+            v.clear();
+        }
+    }
+    /// Copies a view.
+    pub fn copy_from(&mut self, view: &TelemetryView<'_>) {
+        self.first = view.first;
+        self.rows = view.rows;
+        for (c, v) in &mut self.columns {
+            v.clear();
+            if let Some(col) = view.column(*c) {
+                v.extend_from_slice(col);
+            } else {
+                v.resize(view.rows, f64::NAN);
+            }
+        }
+    }
+    /// Sets the number of rows after columns were filled by hand.
+    pub fn set_rows(&mut self, rows: usize) {
+        debug_assert!(self.columns.iter().all(|(_, v)| v.len() == rows));
+        self.rows = rows;
+    }
+}
+
+/// Producers push, sinks accept: recorder, publisher, extractor and a test's buffer are sinks.
+pub trait TelemetrySink {
+    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> crate::error::Result<()>;
+}
+
+/// Keeps everything, for plots and tests.
+#[derive(Clone, Debug, Default)]
+pub struct Collector {
+    pub header: Option<TelemetryHeader>,
+    columns: Vec<(Channel, Vec<f64>)>,
+    pub first: u64,
+}
+
+impl Collector {
+    pub fn rows(&self) -> usize {
+        self.columns.first().map_or(0, |(_, v)| v.len())
+    }
+    pub fn column(&self, channel: Channel) -> Option<&[f64]> {
+        self.columns.iter().find(|(c, _)| *c == channel).map(|(_, v)| v.as_slice())
+    }
+    pub fn view(&self) -> TelemetryView<'_> {
+        let mut v = TelemetryView::new(self.first, self.rows());
+        for (c, values) in &self.columns {
+            v = v.with(*c, values);
+        }
+        v
+    }
+}
+
+impl TelemetrySink for Collector {
+    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> crate::error::Result<()> {
+        if self.header.is_none() {
+            self.header = Some(header.clone());
+            self.first = view.first;
+            self.columns = header.channels.iter().map(|c| (c, Vec::new())).collect();
+        }
+        for (c, v) in &mut self.columns {
+            v.extend_from_slice(view.column(*c).expect("a header names the columns of its views"));
+        }
+        Ok(())
+    }
+}

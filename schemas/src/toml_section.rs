@@ -1,0 +1,184 @@
+//! Reads TOML tables so that every refusal names file, key, value and what is allowed.
+
+use crate::error::{Error, Result};
+use std::path::Path;
+use toml::{Table, Value};
+
+/// One table of a file, emptied key by key; what is left at the end is unknown.
+pub struct Section {
+    file: String,
+    path: String,
+    table: Table,
+    known: Vec<String>,
+}
+
+/// Parses a file's text.
+pub fn parse(file: &str, text: &str) -> Result<Section> {
+    let table: Table = text.parse().map_err(|e: toml::de::Error| {
+        let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
+        Error::bad(file, format!("line {line}"), e.message().replace('\n', " "), "TOML")
+    })?;
+    Ok(Section { file: file.into(), path: String::new(), table, known: Vec::new() })
+}
+
+/// Reads and parses a file.
+pub fn read(path: &Path) -> Result<Section> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+    parse(&path.display().to_string(), &text)
+}
+
+fn show(v: &Value) -> String {
+    let s = v.to_string();
+    if s.len() > 60 { format!("{}...", s.chars().take(57).collect::<String>()) } else { s }
+}
+
+impl Section {
+    pub fn file(&self) -> &str {
+        &self.file
+    }
+
+    fn place(&self, key: &str) -> String {
+        if self.path.is_empty() { format!("key `{key}`") } else { format!("key `{}.{key}`", self.path) }
+    }
+
+    /// The error for a value of this table.
+    pub fn bad(&self, key: &str, found: impl std::fmt::Display, allowed: impl Into<String>) -> Error {
+        Error::bad(&self.file, self.place(key), found, allowed)
+    }
+
+    fn take(&mut self, key: &str) -> Option<Value> {
+        self.known.push(key.into());
+        self.table.remove(key)
+    }
+
+    pub fn has(&self, key: &str) -> bool {
+        self.table.contains_key(key)
+    }
+
+    /// A number, or a table `{ value, source, unit }`; also its source.
+    pub fn sourced(&mut self, key: &str, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<(f64, Option<String>)> {
+        let Some(v) = self.take(key) else { return Err(self.bad(key, "nothing", allowed)) };
+        let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
+        let (x, source) = match &v {
+            Value::Table(t) => {
+                if let Some(k) = t.keys().find(|k| !["value", "source", "unit"].contains(&k.as_str())) {
+                    return Err(self.bad(&format!("{key}.{k}"), "an unknown key", "value, source, unit"));
+                }
+                (t.get("value").and_then(number), t.get("source").and_then(|s| s.as_str()).map(str::to_string))
+            }
+            v => (number(v), None),
+        };
+        match x {
+            Some(x) if x.is_finite() && ok(x) => Ok((x, source)),
+            Some(x) => Err(self.bad(key, x, allowed)),
+            None => Err(self.bad(key, show(&v), allowed)),
+        }
+    }
+
+    pub fn number(&mut self, key: &str, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<f64> {
+        self.sourced(key, ok, allowed).map(|(x, _)| x)
+    }
+
+    pub fn number_or(&mut self, key: &str, default: f64, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<f64> {
+        if self.has(key) {
+            self.number(key, ok, allowed)
+        } else {
+            self.known.push(key.into());
+            Ok(default)
+        }
+    }
+
+    pub fn text(&mut self, key: &str, allowed: &str) -> Result<String> {
+        match self.take(key) {
+            Some(Value::String(s)) => Ok(s),
+            Some(v) => Err(self.bad(key, show(&v), allowed)),
+            None => Err(self.bad(key, "nothing", allowed)),
+        }
+    }
+
+    pub fn text_or(&mut self, key: &str, default: &str) -> Result<String> {
+        if self.has(key) {
+            self.text(key, "a text")
+        } else {
+            self.known.push(key.into());
+            Ok(default.into())
+        }
+    }
+
+    /// A list of numbers, or a range `{ from, to, points }`.
+    pub fn axis(&mut self, key: &str, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<Vec<f64>> {
+        let Some(v) = self.take(key) else { return Err(self.bad(key, "nothing", allowed)) };
+        let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
+        let values: Option<Vec<f64>> = match &v {
+            Value::Array(a) => a.iter().map(number).collect(),
+            Value::Table(t) if t.keys().all(|k| ["from", "to", "points"].contains(&k.as_str())) => {
+                match (
+                    t.get("from").and_then(number),
+                    t.get("to").and_then(number),
+                    t.get("points").and_then(|p| p.as_integer()),
+                ) {
+                    (Some(a), Some(b), Some(n)) if (2..=10_000).contains(&n) => {
+                        Some(crate::fault::FaultGrid::axis(a, b, n as usize))
+                    }
+                    _ => None,
+                }
+            }
+            _ => None,
+        };
+        let Some(values) = values else { return Err(self.bad(key, show(&v), allowed)) };
+        if values.is_empty() {
+            return Err(self.bad(key, "an empty list", allowed));
+        }
+        for (i, &x) in values.iter().enumerate() {
+            if !(x.is_finite() && ok(x)) {
+                return Err(self.bad(&format!("{key}[{i}]"), x, allowed));
+            }
+            if i > 0 && x <= values[i - 1] {
+                return Err(self.bad(&format!("{key}[{i}]"), x, format!("strictly rising values, after {}", values[i - 1])));
+            }
+        }
+        Ok(values)
+    }
+
+    /// A table of its own.
+    pub fn section(&mut self, key: &str) -> Result<Section> {
+        match self.take(key) {
+            Some(Value::Table(table)) => {
+                let path = if self.path.is_empty() { key.to_string() } else { format!("{}.{key}", self.path) };
+                Ok(Section { file: self.file.clone(), path, table, known: Vec::new() })
+            }
+            Some(v) => Err(self.bad(key, show(&v), "a table")),
+            None => Err(self.bad(key, "nothing", "a table")),
+        }
+    }
+
+    /// An array of tables; empty where the key is absent.
+    pub fn sections(&mut self, key: &str) -> Result<Vec<Section>> {
+        let items = match self.take(key) {
+            Some(Value::Array(a)) => a,
+            Some(v) => return Err(self.bad(key, show(&v), "an array of tables")),
+            None => Vec::new(),
+        };
+        items
+            .into_iter()
+            .enumerate()
+            .map(|(i, v)| match v {
+                Value::Table(table) => Ok(Section {
+                    file: self.file.clone(),
+                    path: format!("{key}[{i}]"),
+                    table,
+                    known: Vec::new(),
+                }),
+                v => Err(self.bad(&format!("{key}[{i}]"), show(&v), "a table")),
+            })
+            .collect()
+    }
+
+    /// Refuses what was not asked for.
+    pub fn finish(self) -> Result<()> {
+        match self.table.keys().next() {
+            Some(k) => Err(self.bad(k, "an unknown key", self.known.join(", "))),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! Sequences, grids and sensors by name (built in) or by file.
+
+use crate::sensor::SensorModel;
+use schemas::error::{Error, Result};
+use schemas::fault::FaultGrid;
+use schemas::sequence::TestSequence;
+use schemas::toml_section::{self, Section};
+use std::path::Path;
+
+macro_rules! built_in {
+    ($kind:literal: $($name:literal),+) => {
+        &[$(($name, include_str!(concat!("../../datasets/", $kind, "/", $name, ".toml")))),+]
+    };
+}
+
+const SEQUENCES: &[(&str, &str)] = built_in!("sequences": "preflight", "ramp", "sine", "step", "chirp", "multisine");
+const GRIDS: &[(&str, &str)] = built_in!("grids": "standard", "fine", "coarse");
+const SENSORS: &[(&str, &str)] = built_in!("sensors": "reference");
+
+fn section(kind: &str, known: &[(&str, &str)], name: &str) -> Result<Section> {
+    if let Some((n, text)) = known.iter().find(|(n, _)| *n == name) {
+        return toml_section::parse(&format!("datasets/{kind}/{n}.toml"), text);
+    }
+    if name.ends_with(".toml") {
+        return toml_section::read(Path::new(name));
+    }
+    let names: Vec<&str> = known.iter().map(|(n, _)| *n).collect();
+    Err(Error::bad("command line", format!("name of {kind}"), name, format!("{} or a .toml file", names.join(", "))))
+}
+
+/// Names of the built-in sequences.
+pub fn sequence_names() -> impl Iterator<Item = &'static str> {
+    SEQUENCES.iter().map(|(n, _)| *n)
+}
+
+/// A built-in sequence, or one from a `.toml` file.
+pub fn sequence(name: &str) -> Result<TestSequence> {
+    TestSequence::from_section(section("sequences", SEQUENCES, name)?)
+}
+
+/// A built-in grid, or one from a `.toml` file with `name`, `fsj`, `zeta`.
+pub fn grid(name: &str) -> Result<FaultGrid> {
+    let mut s = section("grids", GRIDS, name)?;
+    let name = s.text("name", "a text")?;
+    let fsj = s.axis("fsj", |x| (0.0..=100.0).contains(&x), "strictly rising friction factors from 0 to 100")?;
+    let zeta = s.axis("zeta", |x| (0.0..1.0).contains(&x), "strictly rising eccentricities, 0 <= zeta < 1")?;
+    s.finish()?;
+    Ok(FaultGrid { name, fsj, zeta })
+}
+
+/// A built-in sensor model, one from a `.toml` file, or `none`.
+pub fn sensors(name: &str) -> Result<Option<SensorModel>> {
+    if name == "none" {
+        return Ok(None);
+    }
+    SensorModel::from_section(section("sensors", SENSORS, name)?).map(Some)
+}

@@ -1,0 +1,426 @@
+//! One step of the numerical test bench over N lanes: N runs side by side, each with its own
+//! actuator and faults. The equations stand once, in [`crate::control`] and [`crate::plant`];
+//! this file puts them in the order of a step and picks the instruction set.
+//!
+//! Lane count, grouping and instruction set never change a bit: every lane does the same
+//! IEEE operations in the same order, and nothing is contracted to fused multiply-adds.
+
+use crate::control::{commutation, hysteresis, position, speed};
+use crate::parameters::ActuatorParameters;
+use crate::plant::{back_emf, backlash, end_stop, friction, inverter, mechanics, torque, windings};
+use crate::trig;
+use schemas::fault::FaultState;
+
+/// Steps after which the rotation of the eccentricity vector is started anew from the angle.
+/// Counted from step 0 of the run, so that sampling has no influence.
+pub const RESYNC_STEPS: u64 = 128;
+
+/// Terms that a call of the kernel contains; an absent term costs nothing.
+pub mod term {
+    /// End stops are within reach.
+    pub const STOPS: u32 = 1;
+    /// Load torque and transmission efficiencies.
+    pub const LOAD: u32 = 2;
+    /// Sums of the additional channels (voltages, supply current, torque, i_q).
+    pub const EXTRA: u32 = 4;
+}
+
+macro_rules! lane_struct {
+    ($(#[$doc:meta])* $name:ident { $($(#[$fdoc:meta])* $field:ident),+ $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug)]
+        #[repr(C, align(64))]
+        pub struct $name<const N: usize> { $($(#[$fdoc])* pub $field: [f64; N]),+ }
+        impl<const N: usize> Default for $name<N> {
+            fn default() -> Self { Self { $($field: [0.0; N]),+ } }
+        }
+    };
+}
+
+/// Units of the kernel: angles in motor rad, speeds in rad per step (`w dt`), currents times
+/// `dt sqrt(L/J)`, so that half the square of either is an energy in the same unit. The one
+/// coefficient `k/sqrt(L J) dt` then serves both Eq. 6 (times a speed: the current that the
+/// back-EMF takes off in a step) and Eq. 7 (times a current: the speed that the torque adds).
+#[derive(Clone, Copy, Debug)]
+pub struct Units {
+    /// one A
+    pub ampere: f64,
+    /// one V, as the current that it adds to a phase in a step
+    pub volt: f64,
+    /// one N m, as the speed that it adds in a step
+    pub newton_metre: f64,
+    /// one rad/s
+    pub rad_per_s: f64,
+    /// one V s/rad, equal to one N m/A
+    pub volt_second: f64,
+}
+
+impl Units {
+    pub fn new(p: &ActuatorParameters) -> Self {
+        let dt = p.step_s;
+        let ampere = dt * (p.phase_inductance_h / p.inertia_kg_m2).sqrt();
+        Self {
+            ampere,
+            volt: ampere * dt / p.phase_inductance_h,
+            newton_metre: dt * dt / p.inertia_kg_m2,
+            rad_per_s: dt,
+            volt_second: dt / (p.phase_inductance_h * p.inertia_kg_m2).sqrt(),
+        }
+    }
+}
+
+lane_struct!(
+    /// Constants of each lane, in [`Units`].
+    Constants {
+        /// `GAP/N`
+        gap,
+        w_min, w_max,
+        /// `Kp/kt`, `Ki dt/kt`
+        kp, ki_dt,
+        i_min, i_max, x_min, x_max,
+        /// units of 30 electrical degrees in a rad of the rotor
+        flanks,
+        /// `ke` and `ke zeta` (0 for one pole pair, Eq. 5)
+        ke, ke_zeta,
+        hb,
+        /// `Vs/2`
+        volts,
+        /// `1 - R dt/L`
+        decay,
+        t_min, t_max,
+        viscous, fs, fd,
+        /// gear ratio N, backlash half-width times N
+        n, gap_half,
+        /// end stop, displacement from rest times N
+        stop,
+        load, opposing, aiding,
+        /// rotor angle at rest [rad]
+        th0,
+    }
+);
+
+lane_struct!(
+    /// State of each lane, in [`Units`].
+    State {
+        /// currents of phases 0 and 1
+        ia, ib,
+        /// relay states, plus or minus HB, less the phase currents
+        ma, mb, mc,
+        /// motor speed
+        turn,
+        /// motor angle from rest [rad]
+        th,
+        /// angle moved in the last step [rad]: the speed, but for the end stops. `r`, `c`, `b` are
+        /// of the angle before it.
+        moved,
+        /// electrical angle less 90 degrees, wrapped at each resync [30 degrees]
+        r,
+        /// integrator I/kt
+        x,
+        /// user angle times N
+        th_u,
+        /// eccentricity vector, see [`back_emf::gains`]
+        c, b,
+    }
+);
+
+lane_struct!(
+    /// Sums over the steps of a telemetry interval, in [`Units`].
+    Sums { ia, ib, abs, va, vb, vc, supply, torque, iq }
+);
+
+impl<const N: usize> Constants<N> {
+    /// Writes lane `l` for an actuator with faults, resting at `rest_angle_rad`, under a constant load torque.
+    pub fn set(&mut self, l: usize, p: &ActuatorParameters, f: FaultState, rest_angle_rad: f64, load_n_m: f64) {
+        let u = Units::new(p);
+        let kt = 2.0 * p.back_emf_v_s_per_rad;
+        let flanks = 6.0 * p.pole_pairs as f64 / std::f64::consts::PI;
+        let fs = f.fsj * p.static_friction_n_m;
+        self.gap[l] = p.position_gain_per_s / p.gear_ratio * u.rad_per_s;
+        self.w_max[l] = p.speed_reference_limit_rad_per_s * u.rad_per_s;
+        self.w_min[l] = -self.w_max[l];
+        self.kp[l] = p.speed_proportional_n_m_s_per_rad / kt * u.ampere / u.rad_per_s;
+        self.ki_dt[l] = p.speed_integral_n_m_per_rad / kt * p.step_s * u.ampere / u.rad_per_s;
+        self.i_max[l] = p.current_limit_a * u.ampere;
+        self.i_min[l] = -self.i_max[l];
+        self.x_max[l] = p.integrator_limit_n_m / kt * u.ampere;
+        self.x_min[l] = -self.x_max[l];
+        self.flanks[l] = flanks;
+        self.ke[l] = p.back_emf_v_s_per_rad * u.volt_second;
+        self.ke_zeta[l] = if p.pole_pairs > 1 { self.ke[l] * f.zeta } else { 0.0 };
+        self.hb[l] = p.hysteresis_half_band_a * u.ampere;
+        self.volts[l] = 0.5 * p.supply_voltage_v * u.volt;
+        self.decay[l] = 1.0 - p.phase_resistance_ohm * p.step_s / p.phase_inductance_h;
+        self.t_max[l] = p.torque_limit_n_m * u.newton_metre;
+        self.t_min[l] = -self.t_max[l];
+        self.viscous[l] = p.viscous_n_m_s_per_rad * u.newton_metre / u.rad_per_s;
+        self.fs[l] = fs * u.newton_metre;
+        self.fd[l] = fs * p.dynamic_friction_ratio * u.newton_metre;
+        self.n[l] = p.gear_ratio;
+        self.gap_half[l] = p.backlash_half_width_rad * p.gear_ratio;
+        self.stop[l] = p.end_stop_rad * p.gear_ratio;
+        self.load[l] = load_n_m * u.newton_metre;
+        self.opposing[l] = 1.0 / p.opposing_efficiency - 1.0;
+        self.aiding[l] = 1.0 - p.aiding_efficiency;
+        self.th0[l] = rest_angle_rad;
+    }
+}
+
+lane_struct!(
+    /// What the stages of one step hand on: current reference, folded angles, back-EMF
+    /// coefficients, angle moved.
+    Handed { i_ref, f0, f1, f2, k0, k1, k2 }
+);
+
+/// Where a lane's constant stands: where all lanes hold the same actuator, in the first.
+#[inline(always)]
+fn at<const SAME: bool>(l: usize) -> usize {
+    if SAME { 0 } else { l }
+}
+
+/// The body of every instantiation: `com.len()` steps over all lanes. A step goes through five
+/// loops over the lanes rather than one: shorter chains of dependent operations, of which the
+/// processor's window then holds several.
+#[inline(always)]
+fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(k: &Constants<N>, state: &mut State<N>, sums: &mut Sums<N>, com: &[f64]) {
+    let mut on = Handed::<N>::default();
+    // a single lane then lives in registers
+    let mut st = state.clone();
+    let mut sum = sums.clone();
+    for &com in com {
+        // controller
+        for l in 0..N {
+            let w_ref = position::speed_reference::<ONE>(k.gap[at::<SAME>(l)], com * k.n[at::<SAME>(l)], st.th_u[l], k.w_min[at::<SAME>(l)], k.w_max[at::<SAME>(l)]);
+            let gains = speed::Gains {
+                kp: k.kp[at::<SAME>(l)],
+                ki_dt: k.ki_dt[at::<SAME>(l)],
+                i_min: k.i_min[at::<SAME>(l)],
+                i_max: k.i_max[at::<SAME>(l)],
+                x_min: k.x_min[at::<SAME>(l)],
+                x_max: k.x_max[at::<SAME>(l)],
+            };
+            (on.i_ref[l], st.x[l]) = speed::current_reference::<ONE>(&gains, w_ref - st.turn[l], st.x[l]);
+        }
+        // electrical angle and back-EMF coefficients
+        for l in 0..N {
+            let moved = if F & term::STOPS != 0 { st.moved[l] } else { st.turn[l] };
+            (st.c[l], st.b[l]) = back_emf::rotate(st.c[l], st.b[l], moved);
+            st.r[l] += moved * k.flanks[at::<SAME>(l)];
+            let fold = back_emf::fold(st.r[l]);
+            let gain = back_emf::gains(k.ke[at::<SAME>(l)], st.c[l], st.b[l]);
+            let coefficient = |q: usize| back_emf::coefficient::<ONE>(fold[q], gain[q]);
+            (on.f0[l], on.f1[l], on.f2[l]) = (fold[0], fold[1], fold[2]);
+            (on.k0[l], on.k1[l], on.k2[l]) = (coefficient(0), coefficient(1), coefficient(2));
+        }
+        // current control, bridge and windings; the third current is minus the sum of the others
+        for l in 0..N {
+            let (ia, ib) = (st.ia[l], st.ib[l]);
+            let relay = |fold: f64, margin: f64| {
+                hysteresis::relay(commutation::phase_reference(fold, on.i_ref[l]), margin, k.hb[at::<SAME>(l)])
+            };
+            let h = [
+                relay(on.f0[l], st.ma[l]),
+                relay(on.f1[l], st.mb[l]),
+                relay(on.f2[l], st.mc[l]),
+            ];
+            let v = [
+                inverter::leg_voltage(h[0], k.volts[at::<SAME>(l)]),
+                inverter::leg_voltage(h[1], k.volts[at::<SAME>(l)]),
+                inverter::leg_voltage(h[2], k.volts[at::<SAME>(l)]),
+            ];
+            let ke = [on.k0[l], on.k1[l], on.k2[l]];
+            let i = windings::step([ia, ib], v, ke, st.turn[l], k.decay[at::<SAME>(l)]);
+            let minus_ic = i[0] + i[1];
+            (st.ma[l], st.mb[l], st.mc[l]) = (h[0] - i[0], h[1] - i[1], h[2] + minus_ic);
+            (st.ia[l], st.ib[l]) = (i[0], i[1]);
+            sum.ia[l] += i[0];
+            sum.ib[l] += i[1];
+            sum.abs[l] += i[0].abs() + i[1].abs() + minus_ic.abs();
+            if F & term::EXTRA != 0 {
+                let n = (v[0] + v[1] + v[2] - (ke[0] + ke[1] + ke[2]) * st.turn[l]) * (1.0 / 3.0);
+                let ic = -minus_ic;
+                sum.va[l] += v[0] - n;
+                sum.vb[l] += v[1] - n;
+                sum.vc[l] += v[2] - n;
+                sum.supply[l] += inverter::supply_current(h, [i[0], i[1], ic]);
+                let half_shape = |fold: f64| back_emf::coefficient::<false>(fold, 0.5);
+                sum.iq[l] += half_shape(on.f0[l]) * i[0] + half_shape(on.f1[l]) * i[1] + half_shape(on.f2[l]) * ic;
+            }
+        }
+        // torque and mechanics
+        for l in 0..N {
+            let w = st.turn[l];
+            let tm = torque::motor::<ONE>([on.k0[l], on.k1[l], on.k2[l]], [st.ia[l], st.ib[l]], k.t_min[at::<SAME>(l)], k.t_max[at::<SAME>(l)]);
+            let (drive, fs, fd) = if F & term::LOAD != 0 {
+                let drive = tm - k.load[at::<SAME>(l)];
+                let direction = if w == 0.0 { drive } else { w };
+                let (fs, fd) = friction::with_load(k.fs[l], k.fd[l], k.load[at::<SAME>(l)], direction, k.opposing[at::<SAME>(l)], k.aiding[at::<SAME>(l)]);
+                (drive, fs, fd)
+            } else {
+                (tm, k.fs[l], k.fd[l])
+            };
+            let mut turn = mechanics::speed::<ONE>(w, friction::net_torque::<ONE>(drive, k.viscous[at::<SAME>(l)] * w, w, fs, fd));
+            let mut th = st.th[l] + turn;
+            if F & term::STOPS != 0 {
+                let (th1, turn1) = end_stop::stop(th, turn, k.stop[at::<SAME>(l)]);
+                st.moved[l] = if th1 == th { turn } else { th1 - st.th[l] };
+                (th, turn) = (th1, turn1);
+            }
+            st.th[l] = th;
+            st.turn[l] = turn;
+            st.th_u[l] = backlash::play::<ONE>(st.th_u[l], th, k.gap_half[at::<SAME>(l)]);
+            if F & term::EXTRA != 0 {
+                sum.torque[l] += tm;
+            }
+        }
+    }
+    if F & term::STOPS == 0 {
+        st.moved = st.turn;
+    }
+    *state = st;
+    *sums = sum;
+}
+
+/// Starts the eccentricity vector anew from the rotor angle and clears decayed currents before
+/// they become subnormal (a standing rotor's common-mode rounding rest decays for ever).
+#[inline(always)]
+fn resync_body<const N: usize>(k: &Constants<N>, st: &mut State<N>) {
+    const GONE: f64 = 1e-100;
+    for l in 0..N {
+        let (s, c) = trig::sin_cos(k.th0[l] + (st.th[l] - st.moved[l]));
+        (st.c[l], st.b[l]) = back_emf::eccentricity_vector(k.ke_zeta[l], s, c);
+        let r = ((k.th0[l] + (st.th[l] - st.moved[l])) * k.flanks[l]) - 3.0;
+        st.r[l] = r - 12.0 * trig::nearest(r * (1.0 / 12.0));
+        let keep = |x: f64| if x.abs() < GONE { 0.0 } else { x };
+        st.ia[l] = keep(st.ia[l]);
+        st.ib[l] = keep(st.ib[l]);
+        st.turn[l] = keep(st.turn[l]);
+        st.x[l] = keep(st.x[l]);
+    }
+}
+
+/// Instruction sets the kernel is built for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InstructionSet {
+    Baseline,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl InstructionSet {
+    /// The widest that this processor has.
+    pub fn detect() -> Self {
+        *Self::available().last().expect("the baseline is always there")
+    }
+
+    /// All that this processor has, narrowest first.
+    pub fn available() -> Vec<Self> {
+        #[allow(unused_mut)]
+        let mut sets = vec![Self::Baseline];
+        #[cfg(target_arch = "x86_64")]
+        {
+            if is_x86_feature_detected!("avx2") {
+                sets.push(Self::Avx2);
+            }
+            if is_x86_feature_detected!("avx512f")
+                && is_x86_feature_detected!("avx512dq")
+                && is_x86_feature_detected!("avx512vl")
+                && is_x86_feature_detected!("avx512bw")
+            {
+                sets.push(Self::Avx512);
+            }
+        }
+        sets
+    }
+
+    /// Name as shown to the user.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Baseline if cfg!(target_arch = "aarch64") => "neon",
+            Self::Baseline => "baseline",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => "avx2",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => "avx512",
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use super::*;
+
+    #[target_feature(enable = "avx2")]
+    pub fn steps_avx2<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
+        k: &Constants<N>,
+        st: &mut State<N>,
+        sum: &mut Sums<N>,
+        com: &[f64],
+    ) {
+        steps_body::<N, F, SAME, ONE>(k, st, sum, com);
+    }
+
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
+    pub fn steps_avx512<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
+        k: &Constants<N>,
+        st: &mut State<N>,
+        sum: &mut Sums<N>,
+        com: &[f64],
+    ) {
+        steps_body::<N, F, SAME, ONE>(k, st, sum, com);
+    }
+
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
+    pub fn resync_avx512<const N: usize>(k: &Constants<N>, st: &mut State<N>) {
+        resync_body(k, st);
+    }
+}
+
+fn steps_on<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
+    set: InstructionSet,
+    k: &Constants<N>,
+    st: &mut State<N>,
+    sum: &mut Sums<N>,
+    com: &[f64],
+) {
+    match set {
+        InstructionSet::Baseline => steps_body::<N, F, SAME, ONE>(k, st, sum, com),
+        // SAFETY: `InstructionSet::available` lists a set only where the processor has it, and
+        // `NumericalTestBench` takes no other.
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx2 => unsafe { x86::steps_avx2::<N, F, SAME, ONE>(k, st, sum, com) },
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx512 => unsafe { x86::steps_avx512::<N, F, SAME, ONE>(k, st, sum, com) },
+    }
+}
+
+/// `com.len()` steps over all lanes with the terms `F`; `same`: all lanes hold the same actuator,
+/// so that its constants are read once.
+pub fn steps<const N: usize, const F: u32>(
+    set: InstructionSet,
+    same: bool,
+    k: &Constants<N>,
+    st: &mut State<N>,
+    sum: &mut Sums<N>,
+    com: &[f64],
+) {
+    if N == 1 {
+        steps_on::<N, F, true, true>(set, k, st, sum, com);
+    } else if same {
+        steps_on::<N, F, true, false>(set, k, st, sum, com);
+    } else {
+        steps_on::<N, F, false, false>(set, k, st, sum, com);
+    }
+}
+
+/// See [`resync_body`].
+pub fn resync<const N: usize>(set: InstructionSet, k: &Constants<N>, st: &mut State<N>) {
+    match set {
+        // SAFETY: as in `steps`.
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx512 => unsafe { x86::resync_avx512(k, st) },
+        _ => resync_body(k, st),
+    }
+}

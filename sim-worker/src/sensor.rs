@@ -1,0 +1,168 @@
+//! Sensor model: what a resolver and current sensors make of the true values. Samples are
+//! quantised here, once; files and frames carry the same values.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use schemas::channel::Channel;
+use schemas::error::Result;
+use schemas::fingerprint::{exact, fingerprint};
+use schemas::telemetry::{TelemetryBuffer, TelemetryView};
+use schemas::toml_section::Section;
+use std::f64::consts::TAU;
+
+/// Resolution and noise of the sensors. All values of the built-in model are assumed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorModel {
+    pub name: String,
+    /// motor resolver, bits a turn
+    pub resolver_bits: u32,
+    /// white noise of the motor speed, rms [rad/s]
+    pub speed_noise_rad_per_s: f64,
+    /// full scale of a phase current, plus and minus [A]
+    pub current_range_a: f64,
+    pub current_bits: u32,
+    /// white noise of a phase current, rms [A]
+    pub current_noise_a: f64,
+    /// half-width of the uniform offset of each phase, drawn once a run [A]
+    pub current_offset_a: f64,
+}
+
+impl SensorModel {
+    pub fn from_section(mut s: Section) -> Result<Self> {
+        let bits = |x: f64| x.fract() == 0.0 && (1.0..=24.0).contains(&x);
+        let low = |x: f64| x >= 0.0;
+        const BITS: &str = "a whole number from 1 to 24";
+        const LOW: &str = "a finite number of at least 0";
+        let m = Self {
+            name: s.text("name", "a text")?,
+            resolver_bits: s.number("resolver_bits", bits, BITS)? as u32,
+            speed_noise_rad_per_s: s.number("speed_noise_rad_per_s", low, LOW)?,
+            current_range_a: s.number("current_range_a", |x| x > 0.0, "a finite number above 0")?,
+            current_bits: s.number("current_bits", bits, BITS)? as u32,
+            current_noise_a: s.number("current_noise_a", low, LOW)?,
+            current_offset_a: s.number("current_offset_a", low, LOW)?,
+        };
+        s.finish()?;
+        Ok(m)
+    }
+
+    /// One resolver count [rad].
+    pub fn resolver_count_rad(&self) -> f64 {
+        TAU / (1u64 << self.resolver_bits) as f64
+    }
+
+    /// One current count [A].
+    pub fn current_count_a(&self) -> f64 {
+        2.0 * self.current_range_a / (1u64 << self.current_bits) as f64
+    }
+
+    pub fn fingerprint(&self) -> String {
+        let v = [
+            self.resolver_bits as f64,
+            self.speed_noise_rad_per_s,
+            self.current_range_a,
+            self.current_bits as f64,
+            self.current_noise_a,
+            self.current_offset_a,
+        ];
+        fingerprint(&format!("sensors;{}", v.map(exact).join(",")))
+    }
+}
+
+/// The random numbers of one run: offsets of the phases, then normal deviates row by row.
+/// The same seed gives the same deviates, whatever the run.
+#[derive(Clone, Debug)]
+pub struct SensorNoise {
+    /// uniform in -1..1
+    offset: [f64; 3],
+    /// speed, phase A, B, C of each row, standard normal
+    rows: Vec<[f32; 4]>,
+}
+
+impl SensorNoise {
+    /// * `seed` of the run
+    /// * `rows` number of samples of the run
+    pub fn new(seed: u64, rows: usize) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let offset = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
+        let rows = (0..rows).map(|_| std::array::from_fn(|_| rng.sample::<f32, _>(StandardNormal))).collect();
+        Self { offset, rows }
+    }
+
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+}
+
+/// A sensor model on one run.
+#[derive(Clone, Debug)]
+pub struct Sensors<'a> {
+    pub model: &'a SensorModel,
+    pub noise: &'a SensorNoise,
+    pub gear_ratio: f64,
+    pub rest_angle_rad: f64,
+}
+
+impl Sensors<'_> {
+    /// Measures `view` into `out`: positions in resolver counts (the user position from the motor's
+    /// through the gear), speed and phase currents with noise, currents in counts, the equivalent
+    /// current from the measured phases. Every value is rounded to f32. Channels that the model
+    /// does not name pass through.
+    pub fn measure(&self, view: &TelemetryView<'_>, out: &mut TelemetryBuffer) {
+        let round = |x: f64| x as f32 as f64;
+        let noise = &self.noise.rows[(view.first - 1) as usize..][..view.rows];
+        let lsb = self.model.resolver_count_rad();
+        let inv_lsb = 1.0 / lsb;
+        let nearest = crate::trig::nearest;
+        let rest = nearest(self.rest_angle_rad * inv_lsb);
+        out.copy_from(view);
+        if let Some(theta) = view.column(Channel::ThetaM) {
+            if let Some(col) = out.column_mut(Channel::ThetaM) {
+                for (o, &x) in col.iter_mut().zip(theta) {
+                    *o = round(nearest(x * inv_lsb) * lsb);
+                }
+            }
+            if let Some(col) = out.column_mut(Channel::ThetaU) {
+                for (o, &x) in col.iter_mut().zip(theta) {
+                    *o = round((nearest(x * inv_lsb) - rest) * lsb / self.gear_ratio);
+                }
+            }
+        }
+        if let Some(col) = out.column_mut(Channel::OmegaM) {
+            for (o, n) in col.iter_mut().zip(noise) {
+                *o = round(*o + self.model.speed_noise_rad_per_s * n[0] as f64);
+            }
+        }
+        let count = self.model.current_count_a();
+        let inv_count = 1.0 / count;
+        let full = (1u64 << (self.model.current_bits - 1)) as f64;
+        for (q, c) in [Channel::IA, Channel::IB, Channel::IC].into_iter().enumerate() {
+            let offset = self.noise.offset[q] * self.model.current_offset_a;
+            if let Some(col) = out.column_mut(c) {
+                for (o, n) in col.iter_mut().zip(noise) {
+                    let x = *o + offset + self.model.current_noise_a * n[1 + q] as f64;
+                    *o = round(nearest(x * inv_count).clamp(-full, full - 1.0) * count);
+                }
+            }
+        }
+        if let (Some(a), Some(b), Some(c)) =
+            (out.column(Channel::IA), out.column(Channel::IB), out.column(Channel::IC))
+        {
+            let eq: Vec<f64> =
+                a.iter().zip(b).zip(c).map(|((a, b), c)| round(0.5 * (a.abs() + b.abs() + c.abs()))).collect();
+            if let Some(col) = out.column_mut(Channel::IEq) {
+                col.copy_from_slice(&eq);
+            }
+        }
+        if let Some(col) = out.column_mut(Channel::Com) {
+            for o in col.iter_mut() {
+                *o = round(*o);
+            }
+        }
+    }
+}

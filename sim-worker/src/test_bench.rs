@@ -1,0 +1,141 @@
+//! The numerical test bench (paper 3.1): N actuators side by side, stepped together.
+
+use crate::lanes::{self, Constants, InstructionSet, RESYNC_STEPS, State, Sums, Units, term};
+use crate::parameters::ActuatorParameters;
+use schemas::channel::{Channel, ChannelSet};
+use schemas::fault::FaultState;
+use std::sync::Arc;
+
+/// What one lane simulates.
+#[derive(Clone, Debug)]
+pub struct Lane {
+    pub actuator: Arc<ActuatorParameters>,
+    pub fault: FaultState,
+    /// motor angle at rest [rad]
+    pub rest_angle_rad: f64,
+    /// constant load torque, positive against positive motion [N m, motor side]
+    pub load_n_m: f64,
+}
+
+/// Numerical test bench of N lanes. All start at rest: position and currents 0, relays at +1.
+pub struct NumericalTestBench<const N: usize> {
+    set: InstructionSet,
+    constants: Constants<N>,
+    state: State<N>,
+    sums: Sums<N>,
+    units: [Units; N],
+    supply_voltage_v: [f64; N],
+    same: bool,
+    all_terms: bool,
+    step: u64,
+    interval: u64,
+}
+
+impl<const N: usize> NumericalTestBench<N> {
+    /// * `lanes` one to N; where there are fewer the last is repeated
+    /// * `channels` additional channels make every step a little dearer
+    ///
+    /// # Panics
+    /// If `lanes` is empty or the lanes have different steps.
+    pub fn new(lanes: &[Lane], channels: ChannelSet) -> Self {
+        Self::with_instruction_set(lanes, channels, InstructionSet::detect())
+    }
+
+    /// As [`NumericalTestBench::new`] on a given instruction set of [`InstructionSet::available`].
+    pub fn with_instruction_set(lanes: &[Lane], channels: ChannelSet, set: InstructionSet) -> Self {
+        assert!(InstructionSet::available().contains(&set), "{} is not available here", set.name());
+        let dt = lanes[0].actuator.step_s;
+        assert!(lanes.iter().all(|l| l.actuator.step_s == dt), "lanes of different steps");
+        let mut constants = Constants::default();
+        let mut state = State::default();
+        let at = |l: usize| &lanes[l.min(lanes.len() - 1)];
+        for l in 0..N {
+            constants.set(l, &at(l).actuator, at(l).fault, at(l).rest_angle_rad, at(l).load_n_m);
+        }
+        state.ma = constants.hb;
+        state.mb = constants.hb;
+        state.mc = constants.hb;
+        let loaded = lanes.iter().any(|l| l.load_n_m != 0.0);
+        let extra = channels.iter().any(|c| !c.is_basic());
+        Self {
+            set,
+            units: std::array::from_fn(|l| Units::new(&at(l).actuator)),
+            supply_voltage_v: std::array::from_fn(|l| at(l).actuator.supply_voltage_v),
+            same: lanes.iter().all(|l| {
+                Arc::ptr_eq(&l.actuator, &lanes[0].actuator) && l.load_n_m == lanes[0].load_n_m
+            }),
+            all_terms: loaded || extra,
+            constants,
+            state,
+            sums: Sums::default(),
+            step: 0,
+            interval: 0,
+        }
+    }
+
+    /// Steps all lanes through `com` [rad], one command a step.
+    pub fn advance(&mut self, mut com: &[f64]) {
+        self.interval += com.len() as u64;
+        while !com.is_empty() {
+            if self.step.is_multiple_of(RESYNC_STEPS) {
+                lanes::resync(self.set, &self.constants, &mut self.state);
+            }
+            let n = (RESYNC_STEPS - self.step % RESYNC_STEPS).min(com.len() as u64) as usize;
+            let (now, later) = com.split_at(n);
+            let (set, same) = (self.set, self.same);
+            let (k, st, sum) = (&self.constants, &mut self.state, &mut self.sums);
+            const ALL: u32 = term::STOPS | term::LOAD | term::EXTRA;
+            if self.all_terms {
+                lanes::steps::<N, ALL>(set, same, k, st, sum, now);
+            } else if Self::stops_within_reach(k, st, n) {
+                lanes::steps::<N, { term::STOPS }>(set, same, k, st, sum, now);
+            } else {
+                lanes::steps::<N, 0>(set, same, k, st, sum, now);
+            }
+            self.step += n as u64;
+            com = later;
+        }
+    }
+
+    /// Whether any lane could touch an end stop within `n` steps at the greatest torque.
+    fn stops_within_reach(k: &Constants<N>, st: &State<N>, n: usize) -> bool {
+        let n = n as f64;
+        (0..N).any(|l| st.th[l].abs() + n * (st.turn[l].abs() + n * (k.t_max[l] + k.load[l].abs())) >= k.stop[l])
+    }
+
+    /// Number of steps done.
+    pub fn step(&self) -> u64 {
+        self.step
+    }
+
+    /// Lane `l`'s sample of `channel` for the interval since [`NumericalTestBench::next_interval`];
+    /// `Com` is not the bench's to know.
+    #[inline]
+    pub fn sample(&self, l: usize, channel: Channel) -> f64 {
+        let (u, n) = (&self.units[l], self.interval as f64);
+        let current = |sum: f64| sum / (n * u.ampere);
+        match channel {
+            Channel::Com | Channel::Temperature => f64::NAN,
+            Channel::ThetaU => self.state.th_u[l] / self.constants.n[l],
+            Channel::ThetaM => self.constants.th0[l] + self.state.th[l],
+            Channel::OmegaM => self.state.turn[l] / u.rad_per_s,
+            Channel::IEq => 0.5 * current(self.sums.abs[l]),
+            Channel::IA => current(self.sums.ia[l]),
+            Channel::IB => current(self.sums.ib[l]),
+            Channel::IC => -current(self.sums.ia[l] + self.sums.ib[l]),
+            Channel::VA => self.sums.va[l] / (n * u.volt),
+            Channel::VB => self.sums.vb[l] / (n * u.volt),
+            Channel::VC => self.sums.vc[l] / (n * u.volt),
+            Channel::TorqueM => self.sums.torque[l] / (n * u.newton_metre),
+            Channel::IQ => current(self.sums.iq[l]),
+            Channel::ISupply => current(self.sums.supply[l]),
+            Channel::VDc => self.supply_voltage_v[l],
+        }
+    }
+
+    /// Starts a new telemetry interval.
+    pub fn next_interval(&mut self) {
+        self.sums = Sums::default();
+        self.interval = 0;
+    }
+}

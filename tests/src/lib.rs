@@ -1,0 +1,82 @@
+//! What the end-to-end and validation tests share.
+
+use schemas::channel::Channel;
+use schemas::fault::FaultState;
+use schemas::telemetry::Collector;
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::simulate::{Experiment, Run, simulate};
+use sim_worker::test_bench::Lane;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The folder named by an environment variable, or `None` after saying that the test is skipped.
+pub fn folder(variable: &str) -> Option<PathBuf> {
+    match std::env::var_os(variable) {
+        Some(v) if !v.is_empty() => Some(PathBuf::from(v)),
+        _ => {
+            println!("skipped: {variable} not set");
+            None
+        }
+    }
+}
+
+/// One run of the reference actuator, noise free, basic channels.
+pub fn reference_run(fsj: f64, zeta: f64, sequence: &str, rate_hz: f64) -> Collector {
+    reference_runs(&[(fsj, zeta)], sequence, rate_hz).remove(0)
+}
+
+/// Runs of the reference actuator side by side.
+pub fn reference_runs(faults: &[(f64, f64)], sequence: &str, rate_hz: f64) -> Vec<Collector> {
+    let actuator = Arc::new(ActuatorParameters::reference());
+    let sequence = sim_worker::datasets::sequence(sequence).unwrap();
+    let channels = schemas::channel::ChannelSet::basic();
+    let e = Experiment::new(sequence, rate_hz, channels, None, actuator.step_s).unwrap();
+    let runs: Vec<Run> = faults
+        .iter()
+        .enumerate()
+        .map(|(i, &(fsj, zeta))| Run {
+            number: i as u64,
+            lane: Lane { actuator: actuator.clone(), fault: FaultState { fsj, zeta }, rest_angle_rad: 0.0, load_n_m: 0.0 },
+            seed: 0,
+        })
+        .collect();
+    let mut all = Vec::new();
+    for group in runs.chunks(sim_worker::simulate::LANES) {
+        let mut sinks = vec![Collector::default(); group.len()];
+        simulate(&e, group, &mut sinks, || true).unwrap();
+        all.extend(sinks);
+    }
+    all
+}
+
+/// Root mean square of the difference over that of `truth`.
+pub fn relative_rms(truth: &[f64], other: &[f64]) -> f64 {
+    assert_eq!(truth.len(), other.len());
+    let d: f64 = truth.iter().zip(other).map(|(a, b)| (a - b) * (a - b)).sum();
+    let s: f64 = truth.iter().map(|a| a * a).sum();
+    (d / s).sqrt()
+}
+
+/// A telemetry CSV as columns in the order of the basic channels, after the time.
+pub fn read_csv(path: &std::path::Path) -> Vec<Vec<f64>> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut columns = vec![Vec::new(); 9];
+    for line in text.lines().skip(1) {
+        for (c, x) in columns.iter_mut().zip(line.split(',')) {
+            c.push(x.parse().unwrap());
+        }
+    }
+    columns
+}
+
+/// The channels of [`read_csv`]'s columns 1 to 8.
+pub const CSV_CHANNELS: [Channel; 8] = [
+    Channel::Com,
+    Channel::ThetaU,
+    Channel::ThetaM,
+    Channel::OmegaM,
+    Channel::IEq,
+    Channel::IA,
+    Channel::IB,
+    Channel::IC,
+];
