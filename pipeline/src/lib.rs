@@ -1,1 +1,18 @@
+//! The ground side: datasets, maps, diagnoses of recordings, queries, reports, and the program `ema`.
+pub mod case;
+pub mod cli;
+pub mod demo;
+pub mod generate;
+pub mod input;
+pub mod maps;
+pub mod output;
+pub mod progress;
+pub mod query;
+pub mod report;
+pub mod report_pages;
+pub mod speed;
 
+/// Long work was stopped by Ctrl-C; what is done is kept.
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted; what is done is kept, the same command goes on from there")]
+pub struct Interrupted;

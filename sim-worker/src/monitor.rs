@@ -136,7 +136,10 @@ impl MonitorModel {
 /// interval's end, |current| and torque as means over the interval.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MonitorTrack {
+    pub com_rad: Vec<f64>,
     pub theta_u_rad: Vec<f64>,
+    /// from rest
+    pub theta_m_rad: Vec<f64>,
     pub omega_rad_per_s: Vec<f64>,
     pub abs_current_a: Vec<f64>,
     pub torque_n_m: Vec<f64>,
@@ -161,7 +164,9 @@ impl MonitorTrack {
                 abs += m.i.abs();
                 torque += m.torque;
             }
+            out.com_rad.push(interval[steps - 1]);
             out.theta_u_rad.push(m.th_u);
+            out.theta_m_rad.push(m.th);
             out.omega_rad_per_s.push(m.w);
             out.abs_current_a.push(abs / steps as f64);
             out.torque_n_m.push(torque / steps as f64);

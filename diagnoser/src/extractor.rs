@@ -1,0 +1,274 @@
+//! Features from telemetry, streaming: no I/O, all state inside, and the same bits whatever the
+//! size of the chunks (every sum runs sample by sample).
+
+use schemas::channel::Channel;
+use schemas::error::{Error, Result};
+use schemas::feature::RawFeatures;
+use schemas::sequence::{Command, TestSequence};
+use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
+use sim_worker::monitor::MonitorTrack;
+use sim_worker::parameters::ActuatorParameters;
+use std::sync::Arc;
+
+/// Start and end of P1's window after the step [s] (paper 4.2.1 "regime"; the figures are those
+/// of the reference actuator's specification).
+const REGIME_S: (f64, f64) = (0.20, 0.65);
+
+/// Resolver counts that a motor position must leave rest by to count as moving.
+const BREAKAWAY_COUNTS: f64 = 1.5;
+
+/// Resolver resolution that break-away is counted in [bits a turn] (assumed).
+const RESOLVER_BITS: u32 = 16;
+
+/// Sample numbers `from..=to`, counted from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    pub from: u64,
+    pub to: u64,
+}
+
+impl Window {
+    /// Samples whose intervals lie in `start..end` [s].
+    fn of(start_s: f64, end_s: f64, rate_hz: f64) -> Self {
+        let from = (start_s * rate_hz - 1e-6).ceil() as u64 + 1;
+        Self { from, to: (end_s * rate_hz + 1e-6).floor() as u64 }
+    }
+
+    pub fn len(self) -> u64 {
+        (self.to + 1).saturating_sub(self.from)
+    }
+
+    pub fn is_empty(self) -> bool {
+        self.len() == 0
+    }
+
+    /// Rows of a view that lie in the window.
+    fn rows(self, view: &TelemetryView<'_>) -> std::ops::Range<usize> {
+        let end = view.first + view.rows as u64;
+        let from = self.from.clamp(view.first, end);
+        let to = (self.to + 1).clamp(from, end);
+        (from - view.first) as usize..(to - view.first) as usize
+    }
+}
+
+/// Which samples of a sequence carry which feature, and what they are compared with: made once
+/// per actuator, sequence and rate, shared by all extractors.
+#[derive(Clone, Debug)]
+pub struct FeaturePlan {
+    pub rate_hz: f64,
+    pub gear_ratio: f64,
+    pub sequence: String,
+    /// samples of the whole sequence
+    pub rows: u64,
+    pub regime: Option<Window>,
+    pub sine: Option<Window>,
+    pub ramp: Option<Window>,
+    /// height of the step: its sign is the direction of motion [rad]
+    pub step_rad: f64,
+    /// |Im| of the simplified model over `sine` [A]
+    monitor_a: Vec<f64>,
+    equivalent_current: bool,
+}
+
+impl FeaturePlan {
+    /// Runs the simplified model through `sequence` at `rate_hz` for P2. `equivalent_current`: P2
+    /// from i_eq, for telemetry without phase currents.
+    pub fn new(actuator: &ActuatorParameters, sequence: &TestSequence, rate_hz: f64, equivalent_current: bool) -> Self {
+        let window = |is: fn(&Command) -> bool, from: f64, to: f64| {
+            let s = sequence.segment(is)?;
+            let w = Window::of(s.start_s + from, s.start_s + s.duration_s.min(to), rate_hz);
+            (!w.is_empty()).then_some(w)
+        };
+        let regime = window(|c| matches!(c, Command::Step { .. }), REGIME_S.0, REGIME_S.1);
+        let sine = window(|c| matches!(c, Command::Sine { .. }), 0.0, f64::INFINITY);
+        let ramp = window(|c| matches!(c, Command::Ramp { .. }), 0.0, f64::INFINITY);
+        let step_rad = sequence
+            .segments
+            .iter()
+            .find_map(|s| if let Command::Step { height_rad } = s.command { Some(height_rad) } else { None });
+        let monitor_a = sine.map_or(Vec::new(), |w| {
+            let track = MonitorTrack::run(actuator, sequence, rate_hz);
+            track.abs_current_a[w.from as usize - 1..w.to as usize].to_vec()
+        });
+        Self {
+            rate_hz,
+            gear_ratio: actuator.gear_ratio,
+            sequence: sequence.name.clone(),
+            rows: (sequence.duration_s() * rate_hz + 1e-6).floor() as u64,
+            regime,
+            sine,
+            ramp,
+            step_rad: step_rad.unwrap_or(0.0),
+            monitor_a,
+            equivalent_current,
+        }
+    }
+
+    /// Whether any of the samples `first..first + rows` matters to a feature.
+    pub fn needs(&self, first: u64, rows: usize) -> bool {
+        let last = first + rows as u64 - 1;
+        first == 1 || [self.regime, self.sine, self.ramp].iter().flatten().any(|w| w.from <= last && first <= w.to)
+    }
+}
+
+/// A feature's number of samples, seen and wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    pub seen: u64,
+    pub wanted: u64,
+}
+
+/// Streaming extractor of one run.
+#[derive(Clone, Debug)]
+pub struct FeatureExtractor {
+    plan: Arc<FeaturePlan>,
+    next: u64,
+    rest_rad: Option<f64>,
+    // regime: sums of the user speed less its first value there
+    regime_seen: u64,
+    shift: f64,
+    sum: f64,
+    sum2: f64,
+    // sine
+    sine_seen: u64,
+    sine_sum2: f64,
+    // ramp
+    ramp_seen: u64,
+    breakaway_rad: Option<f64>,
+}
+
+impl FeatureExtractor {
+    pub fn new(plan: Arc<FeaturePlan>) -> Self {
+        Self {
+            plan,
+            next: 1,
+            rest_rad: None,
+            regime_seen: 0,
+            shift: 0.0,
+            sum: 0.0,
+            sum2: 0.0,
+            sine_seen: 0,
+            sine_sum2: 0.0,
+            ramp_seen: 0,
+            breakaway_rad: None,
+        }
+    }
+
+    pub fn plan(&self) -> &FeaturePlan {
+        &self.plan
+    }
+
+    /// Takes the next samples. Gaps are allowed: features whose window has one stay incomplete.
+    pub fn push(&mut self, view: &TelemetryView<'_>) {
+        if view.rows == 0 {
+            return;
+        }
+        self.next = view.first + view.rows as u64;
+        let theta = view.column(Channel::ThetaM);
+        if self.rest_rad.is_none() && view.first == 1 {
+            self.rest_rad = theta.map(|t| t[0]);
+        }
+        if let (Some(w), Some(omega)) = (self.plan.regime, view.column(Channel::OmegaM)) {
+            let inv_n = 1.0 / self.plan.gear_ratio;
+            for &x in &omega[w.rows(view)] {
+                let u = x * inv_n;
+                if self.regime_seen == 0 {
+                    self.shift = u;
+                }
+                let d = u - self.shift;
+                self.sum += d;
+                self.sum2 += d * d;
+                self.regime_seen += 1;
+            }
+        }
+        if let Some(w) = self.plan.sine {
+            let rows = w.rows(view);
+            let from = (view.first + rows.start as u64 - w.from.min(view.first + rows.start as u64)) as usize;
+            let monitor = &self.plan.monitor_a[from.min(self.plan.monitor_a.len())..];
+            let phases = [Channel::IA, Channel::IB, Channel::IC].map(|c| view.column(c));
+            if let ([Some(a), Some(b), Some(c)], false) = (phases, self.plan.equivalent_current) {
+                for ((a, b), (c, m)) in
+                    a[rows.clone()].iter().zip(&b[rows.clone()]).zip(c[rows.clone()].iter().zip(monitor))
+                {
+                    let d = 0.5 * (a.abs() + b.abs() + c.abs()) - m;
+                    self.sine_sum2 += d * d;
+                }
+                self.sine_seen += rows.len() as u64;
+            } else if let Some(i) = view.column(Channel::IEq) {
+                for (i, m) in i[rows.clone()].iter().zip(monitor) {
+                    let d = i - m;
+                    self.sine_sum2 += d * d;
+                }
+                self.sine_seen += rows.len() as u64;
+            }
+        }
+        if let (Some(w), Some(theta), Some(com)) = (self.plan.ramp, theta, view.column(Channel::Com)) {
+            let rows = w.rows(view);
+            self.ramp_seen += rows.len() as u64;
+            if let (None, Some(rest)) = (self.breakaway_rad, self.rest_rad) {
+                let limit = BREAKAWAY_COUNTS * std::f64::consts::TAU / (1u64 << RESOLVER_BITS) as f64;
+                self.breakaway_rad = rows.clone().find(|&i| (theta[i] - rest).abs() > limit).map(|i| com[i]);
+            }
+        }
+    }
+
+    /// Samples seen and wanted for each window: step, sine, ramp.
+    pub fn progress(&self) -> [Option<Progress>; 3] {
+        let p = |w: Option<Window>, seen| w.map(|w| Progress { seen, wanted: w.len() });
+        [
+            p(self.plan.regime, self.regime_seen),
+            p(self.plan.sine, self.sine_seen),
+            p(self.plan.ramp, self.ramp_seen),
+        ]
+    }
+
+    /// Number of the next sample.
+    pub fn next_sample(&self) -> u64 {
+        self.next
+    }
+
+    /// What has been measured; a feature whose window is not complete is `None`.
+    pub fn features(&self) -> RawFeatures {
+        let whole = |w: Option<Window>, seen: u64| w.is_some_and(|w| w.len() == seen);
+        let n = self.regime_seen as f64;
+        let regime = whole(self.plan.regime, self.regime_seen);
+        let mean = self.sum / n;
+        RawFeatures {
+            // a step down runs with negative speed: the mean is counted in the step's direction
+            mean_speed_rad_per_s: regime.then(|| (self.shift + mean) * 1f64.copysign(self.plan.step_rad)),
+            ripple_rad_per_s: regime.then(|| (self.sum2 / n - mean * mean).max(0.0).sqrt()),
+            p2_a: whole(self.plan.sine, self.sine_seen).then(|| (self.sine_sum2 / self.sine_seen as f64).sqrt()),
+            p3_rad: self.breakaway_rad,
+            rest_angle_rad: self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU)),
+        }
+    }
+
+    /// What is missing, in words; empty when every feature of the sequence is there.
+    pub fn missing(&self) -> Vec<String> {
+        let mut v = Vec::new();
+        let names = ["step window (P1, ripple)", "sine (P2)", "ramp (P3)"];
+        for (name, p) in names.iter().zip(self.progress()) {
+            match p {
+                None => v.push(format!("{name}: not in sequence `{}`", self.plan.sequence)),
+                Some(p) if p.seen < p.wanted => v.push(format!("{name}: {} of {} samples", p.seen, p.wanted)),
+                _ => {}
+            }
+        }
+        if self.plan.ramp.is_some() && self.breakaway_rad.is_none() && self.rest_rad.is_none() {
+            v.push("rest position: sample 1 is missing".into());
+        } else if self.plan.ramp.is_some_and(|w| w.len() == self.ramp_seen) && self.breakaway_rad.is_none() {
+            v.push("P3: the motor does not leave rest in the ramp".into());
+        }
+        v
+    }
+}
+
+impl TelemetrySink for FeatureExtractor {
+    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> Result<()> {
+        if header.sequence != self.plan.sequence {
+            return Err(Error::bad("telemetry", "sequence", &header.sequence, &self.plan.sequence));
+        }
+        self.push(view);
+        Ok(())
+    }
+}

@@ -1,0 +1,426 @@
+//! Failure maps (paper 4.1, 4.2): a feature over the fault grid as monotone curves.
+
+use crate::isotonic::monotone_surface;
+use crate::monotone;
+use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
+use arrow::datatypes::{DataType, Field, Float64Type, Schema};
+use parquet::arrow::ArrowWriter;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use schemas::error::{Error, Result, temporary};
+use schemas::feature::{Feature, Features, RawFeatures};
+use schemas::recording::{Provenance, writer_properties};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Largest break of monotony that is projected away, as a share of the map's range (assumed). P3
+/// comes in whole samples; its limit is one sample if that is more.
+const BREAK_LIMIT: f64 = 0.015;
+
+/// Sensor noise enters the half-width with this many standard deviations: with four maps each
+/// side of each band then misses with 0.3 %, and all four hold together in 97.6 % or more.
+const SIGMAS: f64 = 3.0;
+
+/// Leave-one-out doubles the spacing; an interpolation error of second order is then a quarter.
+const LEAVE_ONE_OUT_SHARE: f64 = 0.25;
+
+/// What the bands of a map are made of, each part of the half-width in the feature's unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BandBudget {
+    /// standard deviation of the feature from sensor noise and offsets
+    pub noise: f64,
+    /// interpolation between grid points, from leave-one-out
+    pub interpolation: f64,
+    /// one sample of the command, where the feature is a command at a sample
+    pub sample: f64,
+}
+
+/// One feature over the fault grid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FailureMap {
+    pub feature: Feature,
+    /// direction along (FSJ, zeta): +1 rising, -1 falling
+    pub direction: (f64, f64),
+    pub fsj: Vec<f64>,
+    pub zeta: Vec<f64>,
+    /// simulated values, zeta outer, FSJ inner
+    pub raw: Vec<f64>,
+    /// the nearest monotone surface
+    pub value: Vec<f64>,
+    pub budget: BandBudget,
+    /// largest |raw - value| of each zeta row: carried into the band there
+    pub residual: Vec<f64>,
+    /// slopes of `value` across zeta
+    slope: Vec<f64>,
+}
+
+/// A curve of a map at one zeta, made to rise along FSJ (multiplied by the map's direction).
+#[derive(Clone, Debug)]
+pub struct Curve {
+    pub y: Vec<f64>,
+    pub d: Vec<f64>,
+}
+
+impl FailureMap {
+    /// Checks, projects and interpolates a simulated surface.
+    ///
+    /// * `raw` values, zeta outer, FSJ inner
+    /// * `noise` standard deviation from the sensors
+    /// * `sample` the feature's step where it comes in whole samples, else 0
+    ///
+    /// Refuses breaks of monotony beyond [`BREAK_LIMIT`] and values that are not numbers, naming
+    /// the grid points.
+    pub fn build(
+        file: &str,
+        feature: Feature,
+        fsj: &[f64],
+        zeta: &[f64],
+        raw: Vec<f64>,
+        noise: f64,
+        sample: f64,
+    ) -> Result<Self> {
+        let columns = fsj.len();
+        let point = |i: usize| format!("{} at (FSJ {}, zeta {})", feature.name(), fsj[i % columns], zeta[i / columns]);
+        if columns < 2 || zeta.len() < 2 {
+            let found = format!("{} x {} points", columns, zeta.len());
+            return Err(Error::bad(file, "grid", found, "at least 2 x 2 points"));
+        }
+        if let Some(i) = raw.iter().position(|v| !v.is_finite()) {
+            return Err(Error::bad(file, point(i), raw[i], "a finite number at every grid point"));
+        }
+        let direction = feature.direction();
+        let value = monotone_surface(&raw, zeta.len(), columns, direction);
+        let (lo, hi) = raw.iter().fold((f64::MAX, f64::MIN), |(a, b), &v| (a.min(v), b.max(v)));
+        let limit = (BREAK_LIMIT * (hi - lo)).max(sample);
+        let broken: Vec<String> = (0..raw.len())
+            .filter(|&i| (raw[i] - value[i]).abs() > limit)
+            .map(|i| format!("{} off by {:.3e}", point(i), raw[i] - value[i]))
+            .collect();
+        if !broken.is_empty() {
+            let (n, shown) = (broken.len(), broken[..broken.len().min(4)].join("; "));
+            let allowed = format!("a monotone surface within {limit:.3e} {}", feature.unit());
+            return Err(Error::bad(file, format!("{n} grid points"), shown, allowed));
+        }
+        let residual = raw
+            .chunks(columns)
+            .zip(value.chunks(columns))
+            .map(|(a, b)| a.iter().zip(b).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs())))
+            .collect();
+        let mut map = Self {
+            feature,
+            direction,
+            fsj: fsj.into(),
+            zeta: zeta.into(),
+            raw,
+            value,
+            budget: BandBudget { noise, interpolation: 0.0, sample },
+            residual,
+            slope: Vec::new(),
+        };
+        map.slope = map.slopes_across();
+        map.budget.interpolation = LEAVE_ONE_OUT_SHARE * map.leave_one_out(0.95);
+        Ok(map)
+    }
+
+    /// PCHIP slopes across zeta for each FSJ column.
+    fn slopes_across(&self) -> Vec<f64> {
+        let (rows, columns) = (self.zeta.len(), self.fsj.len());
+        let mut all = vec![0.0; self.value.len()];
+        let mut y = vec![0.0; rows];
+        let mut d = vec![0.0; rows];
+        for c in 0..columns {
+            for r in 0..rows {
+                y[r] = self.value[r * columns + c];
+            }
+            monotone::slopes(&self.zeta, &y, &mut d);
+            for r in 0..rows {
+                all[r * columns + c] = d[r];
+            }
+        }
+        all
+    }
+
+    /// Quantile `q` of the errors at interior grid points when each is left out in turn, along FSJ
+    /// and along zeta, the larger of the two.
+    fn leave_one_out(&self, q: f64) -> f64 {
+        let (rows, columns) = (self.zeta.len(), self.fsj.len());
+        let line = |x: &[f64], y: &[f64], out: &mut Vec<f64>| {
+            for k in 1..x.len() - 1 {
+                let without = |v: &[f64]| -> Vec<f64> {
+                    v.iter().enumerate().filter(|&(i, _)| i != k).map(|(_, &v)| v).collect()
+                };
+                let (xs, ys) = (without(x), without(y));
+                let mut d = vec![0.0; xs.len()];
+                monotone::slopes(&xs, &ys, &mut d);
+                out.push((monotone::at(&xs, &ys, &d, x[k]) - y[k]).abs());
+            }
+        };
+        let quantile = |mut v: Vec<f64>| -> f64 {
+            v.sort_by(f64::total_cmp);
+            if v.is_empty() { 0.0 } else { v[((v.len() - 1) as f64 * q).round() as usize] }
+        };
+        let (mut along, mut across) = (Vec::new(), Vec::new());
+        if columns > 2 {
+            self.value.chunks(columns).for_each(|y| line(&self.fsj, y, &mut along));
+        }
+        if rows > 2 {
+            for c in 0..columns {
+                let y: Vec<f64> = (0..rows).map(|r| self.value[r * columns + c]).collect();
+                line(&self.zeta, &y, &mut across);
+            }
+        }
+        quantile(along).max(quantile(across))
+    }
+
+    /// The curve over FSJ at `zeta` (clamped to the map), rising.
+    pub fn curve(&self, zeta: f64) -> Curve {
+        let columns = self.fsj.len();
+        let zeta = zeta.clamp(self.zeta[0], self.zeta[self.zeta.len() - 1]);
+        let r = monotone::piece(&self.zeta, zeta);
+        let (z0, z1) = (self.zeta[r], self.zeta[r + 1]);
+        let h = z1 - z0;
+        let s = (zeta - z0) / h;
+        let s1 = 1.0 - s;
+        let (wa, wb) = (s1 * s1 * (1.0 + 2.0 * s), s * s * (3.0 - 2.0 * s));
+        let (da, db) = (s * s1 * s1 * h, -s * s1 * s * h);
+        let rise = self.direction.0;
+        let row = |v: &[f64], r: usize, c: usize| v[r * columns + c];
+        let mut y: Vec<f64> = (0..columns)
+            .map(|c| {
+                rise * (wa * row(&self.value, r, c)
+                    + wb * row(&self.value, r + 1, c)
+                    + da * row(&self.slope, r, c)
+                    + db * row(&self.slope, r + 1, c))
+            })
+            .collect();
+        // two monotone columns may still cross by a rounding between the rows
+        for c in 1..columns {
+            y[c] = y[c].max(y[c - 1]);
+        }
+        let mut d = vec![0.0; columns];
+        monotone::slopes(&self.fsj, &y, &mut d);
+        Curve { y, d }
+    }
+
+    /// The feature at a fault pair, clamped to the map.
+    pub fn at(&self, fsj: f64, zeta: f64) -> f64 {
+        let c = self.curve(zeta);
+        self.direction.0 * monotone::at(&self.fsj, &c.y, &c.d, fsj)
+    }
+
+    /// Half-width of the band at `zeta`, in the feature's unit.
+    pub fn half_width(&self, zeta: f64) -> f64 {
+        let r = monotone::piece(&self.zeta, zeta);
+        let b = &self.budget;
+        SIGMAS * b.noise + b.interpolation + b.sample + self.residual[r].max(self.residual[r + 1])
+    }
+
+    /// Smallest and largest value.
+    pub fn range(&self) -> (f64, f64) {
+        self.value.iter().fold((f64::MAX, f64::MIN), |(a, b), &v| (a.min(v), b.max(v)))
+    }
+
+    /// A map that goes on straight beyond both ends of FSJ and the upper end of zeta by the share
+    /// `by` of the range: to see on which side a measured pair lies.
+    pub fn extended(&self, by: f64) -> Self {
+        let (mut fsj, mut zeta) = (self.fsj.clone(), self.zeta.clone());
+        let (nf, nz) = (fsj.len(), zeta.len());
+        let (df, dz) = (by * (fsj[nf - 1] - fsj[0]), by * (zeta[nz - 1] - zeta[0]));
+        let line = |x0: f64, y0: f64, x1: f64, y1: f64, x: f64| y1 + (y1 - y0) / (x1 - x0) * (x - x1);
+        let low = (fsj[0] - df).max(0.0);
+        let mut value = Vec::new();
+        for row in self.value.chunks(nf) {
+            value.push(line(fsj[1], row[1], fsj[0], row[0], low));
+            value.extend_from_slice(row);
+            value.push(line(fsj[nf - 2], row[nf - 2], fsj[nf - 1], row[nf - 1], fsj[nf - 1] + df));
+        }
+        let high = fsj[nf - 1] + df;
+        fsj.insert(0, low);
+        fsj.push(high);
+        let n = fsj.len();
+        let above: Vec<f64> = (0..n)
+            .map(|c| {
+                let (a, b) = (value[(nz - 2) * n + c], value[(nz - 1) * n + c]);
+                line(zeta[nz - 2], a, zeta[nz - 1], b, zeta[nz - 1] + dz)
+            })
+            .collect();
+        value.extend(above);
+        zeta.push(zeta[nz - 1] + dz);
+        let mut residual = self.residual.clone();
+        residual.push(residual[nz - 1]);
+        let mut map = Self {
+            fsj,
+            zeta,
+            raw: value.clone(),
+            value,
+            residual,
+            slope: Vec::new(),
+            budget: self.budget.clone(),
+            ..*self
+        };
+        map.slope = map.slopes_across();
+        map
+    }
+}
+
+/// What a map set was made for; a diagnosis must match it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MapSetHeader {
+    pub actuator: String,
+    pub parameters: String,
+    pub sequence: String,
+    pub sequence_fingerprint: String,
+    pub rate_hz: f64,
+    /// fingerprint of the sensor model, or `none`
+    pub sensors: String,
+    pub rest_angle_rad: f64,
+    /// P2 from i_eq because the telemetry has no phase currents
+    pub equivalent_current: bool,
+    pub grid: String,
+    pub commit: String,
+}
+
+/// The maps of one actuator, sequence, rate, sensor model and rest angle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FailureMapSet {
+    pub header: MapSetHeader,
+    /// the nominal run through the same sensors
+    pub nominal: RawFeatures,
+    pub maps: Vec<FailureMap>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Stored {
+    header: MapSetHeader,
+    nominal: [Option<f64>; 4],
+    budgets: BTreeMap<String, BandBudget>,
+}
+
+impl FailureMapSet {
+    /// Features of a run over this set's nominal run.
+    pub fn features(&self, raw: &RawFeatures) -> Features {
+        Features::over(raw, &self.nominal)
+    }
+
+    pub fn map(&self, feature: Feature) -> Option<&FailureMap> {
+        self.maps.iter().find(|m| m.feature == feature)
+    }
+
+    /// Saves the maps as one Parquet table: feature, fsj, zeta, value, raw_value.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let column = |f: fn(&FailureMap, usize) -> f64| -> ArrayRef {
+            let v = self.maps.iter().flat_map(|m| (0..m.value.len()).map(move |i| f(m, i)));
+            Arc::new(Float64Array::from_iter_values(v))
+        };
+        let names = self.maps.iter().flat_map(|m| m.value.iter().map(|_| m.feature.name()));
+        let field = |n: &str, t: DataType| Field::new(n, t, false);
+        let schema = Arc::new(Schema::new(vec![
+            field("feature", DataType::Utf8),
+            field("fsj", DataType::Float64),
+            field("zeta", DataType::Float64),
+            field("value", DataType::Float64),
+            field("raw_value", DataType::Float64),
+        ]));
+        let columns: Vec<ArrayRef> = vec![
+            Arc::new(StringArray::from_iter_values(names)),
+            column(|m, i| m.fsj[i % m.fsj.len()]),
+            column(|m, i| m.zeta[i / m.fsj.len()]),
+            column(|m, i| m.value[i]),
+            column(|m, i| m.raw[i]),
+        ];
+        let h = &self.header;
+        let provenance = Provenance {
+            actuator: h.actuator.clone(),
+            parameters: h.parameters.clone(),
+            sequence: h.sequence.clone(),
+            sequence_fingerprint: h.sequence_fingerprint.clone(),
+            grid: h.grid.clone(),
+            sensors: h.sensors.clone(),
+            rate_hz: h.rate_hz,
+            commit: h.commit.clone(),
+            model: "ntb".into(),
+            ..Default::default()
+        };
+        let n = &self.nominal;
+        let stored = Stored {
+            header: h.clone(),
+            nominal: [n.mean_speed_rad_per_s, n.ripple_rad_per_s, n.p2_a, n.p3_rad],
+            budgets: self.maps.iter().map(|m| (m.feature.name().to_string(), m.budget.clone())).collect(),
+        };
+        let mut pairs = provenance.pairs();
+        pairs.push(("ema.maps".into(), serde_json::to_string(&stored).expect("plain data")));
+        let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
+        let batch = RecordBatch::try_new(schema.clone(), columns).map_err(|e| torn(&e))?;
+        let tmp = temporary(path);
+        let file = std::fs::File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;
+        let mut w = ArrowWriter::try_new(file, schema.clone(), Some(writer_properties(&schema, pairs)))
+            .map_err(|e| torn(&e))?;
+        w.write(&batch).map_err(|e| torn(&e))?;
+        let file = w.into_inner().map_err(|e| torn(&e))?;
+        file.sync_all().map_err(|e| Error::io(path, "cannot be written", e))?;
+        std::fs::rename(&tmp, path).map_err(|e| Error::io(path, "cannot be renamed", e))
+    }
+
+    /// Loads a saved set; refuses another schema version, torn files and incomplete grids.
+    pub fn load(path: &Path) -> Result<Self> {
+        let pairs = schemas::recording::metadata(path)?;
+        Provenance::from_pairs(path, &pairs)?;
+        let file = path.display().to_string();
+        let text = pairs
+            .get("ema.maps")
+            .ok_or_else(|| Error::bad(&file, "metadata `ema.maps`", "nothing", "a file written by `ema maps`"))?;
+        let stored: Stored = serde_json::from_str(text).map_err(|e| Error::torn(path, e))?;
+        let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
+        let input = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+        let reader = ParquetRecordBatchReaderBuilder::try_new(input).map_err(|e| torn(&e))?.build().map_err(|e| torn(&e))?;
+        let mut rows: BTreeMap<Feature, Vec<[f64; 4]>> = BTreeMap::new();
+        for batch in reader {
+            let batch = batch.map_err(|e| torn(&e))?;
+            let missing = |n: &str| Error::bad(&file, "columns", format!("no `{n}` of its type"), "those of schemas/README.md");
+            let numbers = |n: &str| {
+                batch.column_by_name(n).and_then(|c| c.as_primitive_opt::<Float64Type>()).ok_or_else(|| missing(n))
+            };
+            let names = batch.column_by_name("feature").and_then(|c| c.as_string_opt::<i32>());
+            let names = names.ok_or_else(|| missing("feature"))?;
+            let (f, z, v, r) = (numbers("fsj")?, numbers("zeta")?, numbers("value")?, numbers("raw_value")?);
+            for i in 0..batch.num_rows() {
+                let feature = Feature::from_name(names.value(i))
+                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), "p1, p2, p3, ripple"))?;
+                rows.entry(feature).or_default().push([f.value(i), z.value(i), v.value(i), r.value(i)]);
+            }
+        }
+        let mut maps = Vec::new();
+        for (feature, rows) in rows {
+            let axis = |k: usize| {
+                let mut v: Vec<f64> = rows.iter().map(|r| r[k]).collect();
+                v.sort_by(f64::total_cmp);
+                v.dedup();
+                v
+            };
+            let (fsj, zeta) = (axis(0), axis(1));
+            let whole = rows.len() == fsj.len() * zeta.len()
+                && fsj.len() >= 2
+                && zeta.len() >= 2
+                && rows.iter().enumerate().all(|(i, r)| r[0] == fsj[i % fsj.len()] && r[1] == zeta[i / fsj.len()]);
+            if !whole {
+                let found = format!("{} rows", rows.len());
+                let allowed = format!("every point of the {} x {} grid once, in order", fsj.len(), zeta.len());
+                return Err(Error::bad(&file, format!("map {}", feature.name()), found, allowed));
+            }
+            let budget = stored.budgets.get(feature.name()).cloned();
+            let budget = budget.ok_or_else(|| Error::bad(&file, "budgets", "nothing", feature.name()))?;
+            let raw = rows.iter().map(|r| r[3]).collect();
+            let mut map = FailureMap::build(&file, feature, &fsj, &zeta, raw, budget.noise, budget.sample)?;
+            map.budget = budget;
+            maps.push(map);
+        }
+        if maps.len() < 2 {
+            return Err(Error::bad(&file, "maps", maps.len(), "at least two maps"));
+        }
+        let [mean_speed_rad_per_s, ripple_rad_per_s, p2_a, p3_rad] = stored.nominal;
+        let rest_angle_rad = Some(stored.header.rest_angle_rad);
+        let nominal = RawFeatures { mean_speed_rad_per_s, ripple_rad_per_s, p2_a, p3_rad, rest_angle_rad };
+        Ok(Self { header: stored.header, nominal, maps })
+    }
+}

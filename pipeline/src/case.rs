@@ -1,0 +1,193 @@
+//! Diagnosis of one recording, offline: the same extractor, maps and inversion that fly.
+
+use crate::input::{self, Measured};
+use crate::maps::{self, MapRequest};
+use anyhow::Result;
+use diagnoser::diagnosis::{COVERAGE, Diagnosis, Outcome, diagnose};
+use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
+use diagnoser::failure_map::FailureMapSet;
+use schemas::channel::Channel;
+use schemas::error::Error;
+use schemas::fault::FaultGrid;
+use schemas::feature::{Feature, RawFeatures};
+use schemas::sequence::TestSequence;
+use serde_json::{Value, json};
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::SensorModel;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// How to diagnose.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    pub actuator: Arc<ActuatorParameters>,
+    /// folder with `maps.parquet`; the cache if `None`
+    pub maps: Option<PathBuf>,
+    pub run: Option<u64>,
+    /// name or file; recognised from the command if `None`
+    pub sequence: Option<String>,
+    /// `auto`, `none`, or a sensor model by name or file
+    pub sensors: String,
+    pub grid: FaultGrid,
+}
+
+/// A diagnosed recording.
+pub struct Case {
+    pub measured: Measured,
+    pub raw: RawFeatures,
+    pub diagnosis: Diagnosis,
+    pub maps: FailureMapSet,
+}
+
+/// Features of a recording.
+pub fn extract(m: &Measured, plan: Arc<FeaturePlan>) -> FeatureExtractor {
+    let mut x = FeatureExtractor::new(plan);
+    x.push(&m.telemetry.view());
+    x
+}
+
+fn sensors_of(m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> {
+    if settings.sensors != "auto" {
+        return Ok(sim_worker::datasets::sensors(&settings.sensors)?);
+    }
+    let reference = sim_worker::datasets::sensors("reference")?;
+    if m.sensors == "none" {
+        return Ok(None);
+    }
+    Ok(reference.filter(|r| r.fingerprint() == m.sensors || input::is_quantised(m, r)))
+}
+
+fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence, rest: f64) -> Result<FailureMapSet> {
+    let equivalent_current =
+        [Channel::IA, Channel::IB, Channel::IC].iter().any(|c| m.telemetry.column(*c).is_none());
+    let Some(dir) = &s.maps else {
+        return maps::cached(&MapRequest {
+            actuator: s.actuator.clone(),
+            sequence: sequence.clone(),
+            rate_hz: m.rate_hz,
+            sensors: sensors_of(m, s)?,
+            rest_angle_rad: maps::rounded_rest_angle(rest),
+            equivalent_current,
+            grid: s.grid.clone(),
+        });
+    };
+    let file = if dir.is_dir() { dir.join("maps.parquet") } else { dir.clone() };
+    let set = FailureMapSet::load(&file)?;
+    let h = &set.header;
+    let bad = |place: &str, found: String, allowed: String| -> anyhow::Error {
+        Error::bad(path.display().to_string(), place, found, format!("{allowed} (of {})", file.display())).into()
+    };
+    if !m.parameters.is_empty() && m.parameters != h.parameters {
+        return Err(bad("parameter fingerprint", m.parameters.clone(), h.parameters.clone()));
+    }
+    if s.actuator.fingerprint() != h.parameters {
+        let place = format!("parameters of actuator `{}`", s.actuator.name);
+        return Err(bad(&place, s.actuator.fingerprint(), h.parameters.clone()));
+    }
+    if sequence.fingerprint() != h.sequence_fingerprint {
+        return Err(bad("sequence", sequence.name.clone(), h.sequence.clone()));
+    }
+    if (m.rate_hz - h.rate_hz).abs() > 1e-6 * h.rate_hz {
+        return Err(bad("rate [Hz]", m.rate_hz.to_string(), h.rate_hz.to_string()));
+    }
+    let d = (rest - h.rest_angle_rad + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
+    if d.abs() > maps::REST_ANGLE_STEP_RAD {
+        let deg = |a: f64| format!("{:.2}", a.to_degrees());
+        return Err(bad("rotor angle at rest [deg]", deg(rest), format!("{} +- 0.1", deg(h.rest_angle_rad))));
+    }
+    if equivalent_current != h.equivalent_current {
+        let what = |e: bool| if e { "i_eq only".to_string() } else { "phase currents".to_string() };
+        return Err(bad("currents", what(equivalent_current), what(h.equivalent_current)));
+    }
+    let sensors = sensors_of(m, s)?.map_or("none".to_string(), |x| x.fingerprint());
+    if sensors != h.sensors {
+        return Err(bad("sensors", sensors, h.sensors.clone()));
+    }
+    Ok(set)
+}
+
+/// Diagnoses a telemetry file.
+pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
+    let measured = input::open(path, settings.run)?;
+    let a = &settings.actuator;
+    if settings.maps.is_none() && !measured.parameters.is_empty() && measured.parameters != a.fingerprint() {
+        let allowed = format!("{} (actuator `{}`; choose with --actuator)", a.fingerprint(), a.name);
+        let file = path.display().to_string();
+        return Err(Error::bad(file, "parameter fingerprint", &measured.parameters, allowed).into());
+    }
+    let sequence = input::recognise(path, &measured, settings.sequence.as_deref(), a.step_s)?;
+    let first = measured.telemetry.column(Channel::ThetaM).map_or(0.0, |t| t[0]);
+    let maps = chosen_maps(path, &measured, settings, &sequence, first.rem_euclid(std::f64::consts::TAU))?;
+    let plan = FeaturePlan::new(a, &sequence, measured.rate_hz, maps.header.equivalent_current);
+    let x = extract(&measured, Arc::new(plan));
+    let raw = x.features();
+    let diagnosis = diagnose(&maps, &maps.features(&raw), &x.missing());
+    Ok(Case { measured, raw, diagnosis, maps })
+}
+
+/// The diagnosis as JSON, keys of the interface.
+pub fn to_json(d: &Diagnosis) -> Value {
+    let interval = |lo: Option<f64>, hi: Option<f64>, e: Option<f64>| json!({"lo": lo, "hi": hi, "estimate": e});
+    let area = d.outcome.area();
+    let contradicting: Vec<&str> = match &d.outcome {
+        Outcome::Unexplained { contradicting, .. } => contradicting.iter().map(|f| f.name()).collect(),
+        _ => Vec::new(),
+    };
+    let f = &d.features;
+    json!({
+        "outcome": d.outcome.name(),
+        "fsj": interval(area.map(|a| a.fsj.lo), area.map(|a| a.fsj.hi), area.map(|a| a.centroid.0)),
+        "zeta": interval(area.map(|a| a.zeta.lo), area.map(|a| a.zeta.hi), area.map(|a| a.centroid.1)),
+        "area": area.map(|a| a.size),
+        "coverage": COVERAGE,
+        "features": {
+            "p1_rad_per_s": f.p1_rad_per_s,
+            "p2_a": f.p2_a,
+            "p3": f.p3,
+            "p3_rad": f.p3_rad,
+            "ripple_rad_per_s": f.ripple_rad_per_s,
+        },
+        "contradicting": contradicting,
+        "reason": d.outcome.reason(),
+    })
+}
+
+/// The diagnosis for a person.
+pub fn to_text(case: &Case) -> String {
+    let d = &case.diagnosis;
+    let mut out = String::new();
+    let mut line = |s: String| {
+        out += &s;
+        out.push('\n');
+    };
+    match &d.outcome {
+        Outcome::Located(a) | Outcome::Incomplete { area: Some(a), .. } => {
+            line(format!("outcome   {}", d.outcome.name().replace('_', " ")));
+            line(format!("FSJ       {:.4}   in {:.4} .. {:.4}", a.centroid.0, a.fsj.lo, a.fsj.hi));
+            line(format!("zeta      {:.5}  in {:.5} .. {:.5}", a.centroid.1, a.zeta.lo, a.zeta.hi));
+            line(format!("coverage  {:.0} % (bands of 3 sigma of the assumed sensors, and the grid's errors)", 100.0 * COVERAGE));
+        }
+        o => line(format!("outcome   {}", o.name().replace('_', " "))),
+    }
+    if !d.outcome.reason().is_empty() {
+        line(format!("reason    {}", d.outcome.reason()));
+    }
+    for f in Feature::ALL {
+        if let (Some(v), Some(m)) = (d.features.get(f), case.maps.map(f)) {
+            let (lo, hi) = m.range();
+            let at = d.outcome.area().map_or(m.zeta[0], |a| a.centroid.1);
+            let h = m.half_width(at);
+            line(format!("{:9} {v:.6e} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}", f.name(), f.unit()));
+        }
+    }
+    let h = &case.maps.header;
+    let sensors = if h.sensors == "none" { "noise free" } else { "with sensor model (assumed)" };
+    line(format!(
+        "maps      actuator {}, {} at {} Hz, rest angle {:.1} deg, {sensors}",
+        h.actuator,
+        h.sequence,
+        h.rate_hz,
+        h.rest_angle_rad.to_degrees()
+    ));
+    out
+}

@@ -1,0 +1,90 @@
+//! `ema diagnose`.
+
+use super::{ActuatorArg, EXIT_LOSS, say};
+use crate::case::{self, Settings};
+use crate::report::{self, Figure, Report, Section};
+use crate::report_pages;
+use anyhow::Result;
+use clap::Args;
+use diagnoser::diagnosis::Outcome;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct DiagnoseArgs {
+    /// Telemetry: the project's Parquet, or CSV with columns t,com,theta_u,theta_m,omega_m,i_eq[,i_a,i_b,i_c]
+    file: PathBuf,
+    /// Folder (or file) of saved maps; those of the actuator, made on first use, if left out
+    #[arg(long)]
+    maps: Option<PathBuf>,
+    /// Keys for programs
+    #[arg(long)]
+    json: bool,
+    /// Run of a file that holds several
+    #[arg(long)]
+    run: Option<u64>,
+    /// Sequence by name or TOML file; recognised from the command if left out
+    #[arg(long)]
+    sequence: Option<String>,
+    /// auto, none, reference, or a TOML file
+    #[arg(long, default_value = "auto")]
+    sensors: String,
+    /// Grid of maps made on first use
+    #[arg(long, default_value = "fine")]
+    grid: String,
+    /// Also draw maps, cuts and the located area into this folder
+    #[arg(long)]
+    plot: Option<PathBuf>,
+    #[command(flatten)]
+    actuator: ActuatorArg,
+}
+
+pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
+    let settings = Settings {
+        actuator: a.actuator.read()?,
+        maps: a.maps.clone(),
+        run: a.run,
+        sequence: a.sequence.clone(),
+        sensors: a.sensors.clone(),
+        grid: sim_worker::datasets::grid(&a.grid)?,
+    };
+    let case = case::run(&a.file, &settings)?;
+    if a.json {
+        say(&case::to_json(&case.diagnosis).to_string());
+    } else {
+        say(&case::to_text(&case));
+    }
+    if let Some(dir) = &a.plot {
+        let d = &case.diagnosis;
+        let zeta = d.outcome.area().map(|a| a.centroid.1);
+        let mut figures: Vec<(String, Figure)> = case
+            .maps
+            .maps
+            .iter()
+            .map(|m| {
+                let plot = report_pages::map_plot(m, d.features.get(m.feature), zeta);
+                (format!("map_{}", m.feature.name()), Figure::Map(plot))
+            })
+            .collect();
+        for (zoom, title) in [(false, "Bands in the plane of the faults"), (true, "Located area")] {
+            if zoom && d.outcome.area().is_none() {
+                continue;
+            }
+            let plot = report_pages::region_plot(title, &case.maps, d, None, zoom);
+            figures.push((format!("region{}", if zoom { "_zoom" } else { "" }), Figure::Region(plot)));
+        }
+        let section =
+            Section { title: "Diagnosis".into(), text: case::to_text(&case), tables: Vec::new(), figures };
+        let report = Report {
+            title: format!("Diagnosis of {}", a.file.display()),
+            summary: format!("Outcome: {}.", d.outcome.name().replace('_', " ")),
+            facts: Vec::new(),
+            sections: vec![section],
+        };
+        report::write(&report, dir, "diagnosis.html")?;
+    }
+    Ok(match case.diagnosis.outcome {
+        Outcome::Incomplete { .. } => ExitCode::from(EXIT_LOSS),
+        _ => ExitCode::SUCCESS,
+    })
+}

@@ -1,0 +1,207 @@
+//! The command line of `ema`.
+
+mod diagnose;
+mod plot;
+mod run;
+mod simulate;
+
+use crate::Interrupted;
+use anyhow::Result;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use schemas::error::Error;
+use sim_worker::parameters::ActuatorParameters;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+/// Finished, but something is missing (an incomplete diagnosis).
+pub const EXIT_LOSS: u8 = 3;
+/// A file or value that is not allowed.
+pub const EXIT_BAD_INPUT: u8 = 4;
+
+const EXIT_CODES: &str = "Exit codes: 0 done (a diagnosis that finds no fault pair is a finding, not an error) \
+    | 1 unforeseen failure, for example a full disk | 2 wrong command line \
+    | 3 finished with loss: the diagnosis is incomplete | 4 bad input: one line says file, place, value found and what \
+    is allowed | 130 interrupted; what is done is kept";
+
+#[derive(Parser)]
+#[command(name = "ema", version, about = "Prognostics of electromechanical actuators with failure maps", after_help = EXIT_CODES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Commands,
+}
+
+#[derive(Subcommand)]
+enum Commands {
+    /// Simulate one run and write its telemetry
+    #[command(after_help = "Example: ema run --fsj 3 --zeta 0.3 --sequence preflight --rate 10000 --out run.csv")]
+    Run(run::RunArgs),
+    /// Simulate a grid of faults into a dataset; resumes where it was interrupted
+    #[command(after_help = "Example: ema simulate --grid standard --sensors reference --out dataset")]
+    Simulate(simulate::SimulateArgs),
+    /// Build the failure maps of a dataset
+    #[command(after_help = "Example: ema maps dataset    (writes dataset/maps.parquet)")]
+    Maps(simulate::MapsArgs),
+    /// Diagnose a recorded test: intervals of both faults
+    #[command(after_help = "Example: ema diagnose run.csv --json    (maps of the reference actuator, made on first use)")]
+    Diagnose(diagnose::DiagnoseArgs),
+    /// Draw maps, diagnoses and telemetry as SVG
+    #[command(after_help = "Example: ema plot maps dataset --out plots")]
+    Plot(plot::PlotArgs),
+    /// Measure this machine's speed
+    #[command(after_help = "Example: ema bench --json")]
+    Bench(BenchArgs),
+    /// Grid, maps, the paper's four cases and a report, in one go
+    #[command(after_help = "Example: ema demo --out demo run.csv    (then open demo/report.html)")]
+    Demo(DemoArgs),
+    /// SQL over a dataset
+    #[command(
+        after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature).\n\
+        Example: ema query \"SELECT zeta, AVG(p2_a) AS p2 FROM features GROUP BY zeta ORDER BY zeta\" --data dataset"
+    )]
+    Query(QueryArgs),
+}
+
+#[derive(Args)]
+struct BenchArgs {
+    /// Keys for programs
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+struct DemoArgs {
+    /// Folder of the report and its data
+    #[arg(long, default_value = "ema-demo")]
+    out: PathBuf,
+    /// Grid by name or TOML file
+    #[arg(long, default_value = "fine")]
+    grid: String,
+    /// Noise seeds of each case
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    seeds: u64,
+    /// A recording to diagnose along with the paper's cases
+    file: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Format {
+    Table,
+    Csv,
+    Json,
+    Parquet,
+}
+
+#[derive(Args)]
+struct QueryArgs {
+    /// One SQL statement (polars SQL)
+    sql: String,
+    /// Dataset folder
+    #[arg(long, default_value = ".")]
+    data: PathBuf,
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    format: Format,
+    /// File instead of standard output; needed for Parquet
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// Which actuator.
+#[derive(Args)]
+pub struct ActuatorArg {
+    /// Actuator parameters, a TOML file; the reference actuator (values assumed) if left out
+    #[arg(long)]
+    actuator: Option<PathBuf>,
+}
+
+impl ActuatorArg {
+    fn read(&self) -> Result<Arc<ActuatorParameters>> {
+        Ok(Arc::new(match &self.actuator {
+            Some(path) => ActuatorParameters::read(path)?,
+            None => ActuatorParameters::reference(),
+        }))
+    }
+}
+
+/// Parses the command line, works, and says how it ended.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    crate::progress::catch_interrupts();
+    let result = match cli.command {
+        Commands::Run(a) => run::run(&a),
+        Commands::Simulate(a) => simulate::simulate(&a),
+        Commands::Maps(a) => simulate::maps(&a),
+        Commands::Diagnose(a) => diagnose::diagnose(&a),
+        Commands::Plot(a) => plot::plot(&a),
+        Commands::Bench(a) => bench(&a),
+        Commands::Demo(a) => crate::demo::demo(&a.out, &a.grid, a.seeds, a.file.as_deref()).map(|()| ExitCode::SUCCESS),
+        Commands::Query(a) => query(&a),
+    };
+    result.unwrap_or_else(|e| {
+        // a closed pipe (ema ... | head) is not worth a word
+        eprintln!("ema: {}", format!("{e:#}").replace('\n', " "));
+        if e.is::<Interrupted>() {
+            ExitCode::from(130)
+        } else if matches!(e.downcast_ref::<Error>(), Some(Error::Bad { .. } | Error::Torn { .. })) {
+            ExitCode::from(EXIT_BAD_INPUT)
+        } else if let Some(Error::Io { what: "cannot be read" | "is in use", .. }) = e.downcast_ref::<Error>() {
+            ExitCode::from(EXIT_BAD_INPUT)
+        } else {
+            ExitCode::from(1)
+        }
+    })
+}
+
+/// Prints, and does not mind when nobody reads on.
+pub fn say(text: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stdout(), "{}", text.trim_end());
+}
+
+fn bench(a: &BenchArgs) -> Result<ExitCode> {
+    let s = crate::speed::measure();
+    if a.json {
+        let v = serde_json::json!({
+            "scalar_ns_per_step": s.scalar_ns_per_step,
+            "lanes_ns_per_step_per_run": s.lanes_ns_per_step_per_run,
+            "lanes": s.lanes,
+            "standstill_lanes_ns_per_step_per_run": s.standstill_lanes_ns_per_step_per_run,
+            "sm_ns_per_simulated_us": s.sm_ns_per_simulated_us,
+            "instruction_set": s.instruction_set,
+        });
+        say(&v.to_string());
+    } else {
+        say(&format!(
+            "instruction set    {}\none run            {:.2} ns/step\n{} lanes           {:.2} ns/step/run\n\
+             standing still     {:.2} ns/step/run\nsimplified model   {:.3} ns/us simulated (1/{:.0} of one run)",
+            s.instruction_set,
+            s.scalar_ns_per_step,
+            s.lanes,
+            s.lanes_ns_per_step_per_run,
+            s.standstill_lanes_ns_per_step_per_run,
+            s.sm_ns_per_simulated_us,
+            s.scalar_ns_per_step / s.sm_ns_per_simulated_us,
+        ));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn query(a: &QueryArgs) -> Result<ExitCode> {
+    let mut frame = crate::query::query(&a.data, &a.sql)?;
+    let text = match a.format {
+        Format::Table => format!("{frame}"),
+        Format::Csv => crate::query::to_csv(&frame)?,
+        Format::Json => crate::query::to_json(&frame)?,
+        Format::Parquet => {
+            let allowed = "--out FILE.parquet";
+            let out = a.out.as_ref().ok_or_else(|| Error::bad("command line", "--out", "nothing", allowed))?;
+            crate::query::write_parquet(&mut frame, out)?;
+            return Ok(ExitCode::SUCCESS);
+        }
+    };
+    match &a.out {
+        Some(path) => schemas::error::write_whole(path, format!("{}\n", text.trim_end()).as_bytes())?,
+        None => say(&text),
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,185 @@
+//! `ema run`.
+
+use super::ActuatorArg;
+use crate::generate::COMMIT;
+use crate::output::CsvWriter;
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use schemas::channel::{Channel, ChannelSet};
+use schemas::error::Error;
+use schemas::fault::FaultState;
+use schemas::recording::{Provenance, Recorder};
+use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
+use sim_worker::monitor::MonitorTrack;
+use sim_worker::simulate::{Experiment, Run, simulate};
+use sim_worker::test_bench::Lane;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Model {
+    /// numerical test bench
+    Ntb,
+    /// simplified model, healthy actuator only
+    Sm,
+}
+
+#[derive(Args)]
+pub struct RunArgs {
+    /// Friction factor FSJ (1 = healthy)
+    #[arg(long, default_value_t = 1.0)]
+    fsj: f64,
+    /// Static eccentricity zeta (0 = healthy)
+    #[arg(long, default_value_t = 0.0)]
+    zeta: f64,
+    /// preflight, ramp, sine, step, chirp, multisine, or a TOML file
+    #[arg(long, default_value = "preflight")]
+    sequence: String,
+    /// Telemetry rate [Hz]
+    #[arg(long, default_value_t = 10_000.0)]
+    rate: f64,
+    #[arg(long, value_enum, default_value_t = Model::Ntb)]
+    model: Model,
+    /// FILE.csv or FILE.parquet
+    #[arg(long)]
+    out: PathBuf,
+    /// Rotor angle at rest [deg]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    rest_angle_deg: f64,
+    /// Constant load torque at the motor [N m]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    load_n_m: f64,
+    /// none, reference, or a TOML file
+    #[arg(long, default_value = "none")]
+    sensors: String,
+    /// Seed of the sensor noise
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Additional channels: v_a,v_b,v_c,torque_m,i_q,i_supply,v_dc or all
+    #[arg(long, value_delimiter = ',')]
+    channels: Vec<String>,
+    #[command(flatten)]
+    actuator: ActuatorArg,
+}
+
+enum Writer {
+    Csv(CsvWriter),
+    Parquet(Recorder),
+}
+
+impl TelemetrySink for Writer {
+    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> schemas::error::Result<()> {
+        match self {
+            Writer::Csv(w) => w.accept(header, view),
+            Writer::Parquet(w) => w.accept(header, view),
+        }
+    }
+}
+
+/// A finite number from the command line.
+pub fn finite(what: &str, x: f64) -> Result<f64> {
+    if x.is_finite() { Ok(x) } else { Err(Error::bad("command line", what, x, "a finite number").into()) }
+}
+
+/// Faults from the command line.
+pub fn faults(fsj: f64, zeta: f64) -> Result<FaultState> {
+    FaultState::new(fsj, zeta).map_err(|(place, x, allowed)| Error::bad("command line", place, x, allowed).into())
+}
+
+/// The basic channels and what else is named.
+pub fn channel_set(names: &[String]) -> Result<ChannelSet> {
+    let simulated = |c: &Channel| *c != Channel::Temperature;
+    let mut set = ChannelSet::basic();
+    for n in names {
+        if n == "all" {
+            set = ChannelSet::of(Channel::ALL.iter().copied().filter(simulated));
+            continue;
+        }
+        let c = Channel::from_name(n).filter(simulated).ok_or_else(|| {
+            let all: Vec<&str> = Channel::ALL.iter().filter(|c| simulated(c)).map(|c| c.name()).collect();
+            Error::bad("command line", "--channels", n, format!("all, {}", all.join(", ")))
+        })?;
+        set = set.with(c);
+    }
+    Ok(set)
+}
+
+pub fn run(a: &RunArgs) -> Result<ExitCode> {
+    let actuator = a.actuator.read()?;
+    let fault = faults(a.fsj, a.zeta)?;
+    let rest_angle_rad = finite("--rest-angle-deg", a.rest_angle_deg)?.to_radians();
+    let load_n_m = finite("--load-n-m", a.load_n_m)?;
+    let sequence = sim_worker::datasets::sequence(&a.sequence)?;
+    let sensors = sim_worker::datasets::sensors(&a.sensors)?;
+    let mut channels = channel_set(&a.channels)?;
+    let e = Experiment::new(sequence, a.rate, channels, sensors, actuator.step_s)?;
+    if a.model == Model::Sm {
+        if fault != FaultState::NOMINAL || load_n_m != 0.0 || e.sensors.is_some() {
+            let found = format!("fsj {}, zeta {}, load {}, sensors {}", a.fsj, a.zeta, load_n_m, a.sensors);
+            let allowed = "fsj 1, zeta 0, load 0, sensors none: the simplified model knows the healthy actuator only";
+            return Err(Error::bad("command line", "--model sm", found, allowed).into());
+        }
+        use Channel::*;
+        channels = ChannelSet::of([Com, ThetaU, ThetaM, OmegaM, IEq, TorqueM]);
+    }
+    let provenance = Provenance {
+        actuator: actuator.name.clone(),
+        parameters: actuator.fingerprint(),
+        sequence: e.sequence.name.clone(),
+        sequence_fingerprint: e.sequence.fingerprint(),
+        grid: String::new(),
+        sensors: e.sensor_fingerprint(),
+        effects: String::new(),
+        rate_hz: a.rate,
+        step_s: actuator.step_s,
+        seed: a.seed,
+        commit: COMMIT.into(),
+        model: if a.model == Model::Ntb { "ntb".into() } else { "sm".into() },
+    };
+    let mut writer = match a.out.extension().and_then(|x| x.to_str()) {
+        Some("csv") => Writer::Csv(CsvWriter::create(&a.out)?),
+        Some("parquet") => Writer::Parquet(Recorder::create(&a.out, &provenance, channels, e.sensors.is_some())?),
+        _ => {
+            let found = a.out.display();
+            return Err(Error::bad("command line", "--out", found, "a file name ending in .csv or .parquet").into());
+        }
+    };
+    match a.model {
+        Model::Ntb => {
+            let lane = Lane { actuator, fault, rest_angle_rad, load_n_m };
+            let run = Run { number: 0, lane, seed: a.seed };
+            let go_on = || !crate::progress::interrupted();
+            if simulate(&e, &[run], std::slice::from_mut(&mut writer), go_on)?.is_none() {
+                return Err(crate::Interrupted.into());
+            }
+        }
+        Model::Sm => {
+            let track = MonitorTrack::run(&actuator, &e.sequence, e.rate_hz);
+            let theta_m: Vec<f64> = track.theta_m_rad.iter().map(|x| x + rest_angle_rad).collect();
+            let view = TelemetryView::new(1, track.com_rad.len())
+                .with(Channel::Com, &track.com_rad)
+                .with(Channel::ThetaU, &track.theta_u_rad)
+                .with(Channel::ThetaM, &theta_m)
+                .with(Channel::OmegaM, &track.omega_rad_per_s)
+                .with(Channel::IEq, &track.abs_current_a)
+                .with(Channel::TorqueM, &track.torque_n_m);
+            let header = TelemetryHeader {
+                run: 0,
+                actuator: provenance.actuator.clone(),
+                parameters: provenance.parameters.clone(),
+                sensors: "none".into(),
+                sequence: provenance.sequence.clone(),
+                rate_hz: e.rate_hz,
+                channels,
+                fault: Some(fault),
+                rest_angle_rad: Some(rest_angle_rad),
+            };
+            writer.accept(&header, &view)?;
+        }
+    }
+    match writer {
+        Writer::Csv(w) => w.finish()?,
+        Writer::Parquet(w) => w.finish()?,
+    }
+    Ok(ExitCode::SUCCESS)
+}

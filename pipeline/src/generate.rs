@@ -1,0 +1,344 @@
+//! Datasets: runs of a plan as telemetry and features in Parquet.
+
+use arrow::array::{ArrayRef, Float64Array, RecordBatch, UInt64Array};
+use arrow::datatypes::{DataType, Field, Schema};
+use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
+use parquet::arrow::ArrowWriter;
+use schemas::channel::ChannelSet;
+use schemas::error::{Error, Result, temporary};
+use schemas::fault::FaultGrid;
+use schemas::feature::RawFeatures;
+use schemas::fingerprint::{exact, fingerprint};
+use schemas::recording::{Provenance, Recorder, Recording, metadata, writer_properties};
+use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::{SensorModel, SensorNoise, Sensors};
+use sim_worker::simulate::{Experiment, Run};
+use sim_worker::test_bench::Lane;
+use sim_worker::worker::{Block, Folder, Progress, Store, blocks, work};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Source revision of this program.
+pub const COMMIT: &str = env!("EMA_COMMIT");
+
+/// Seeds over which the features of a run are averaged when there is a sensor model. The same
+/// seeds serve every run, so that the maps stay smooth.
+pub const FEATURE_SEEDS: u64 = 16;
+
+/// A grid of runs and what to keep of them.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    pub actuator: Arc<ActuatorParameters>,
+    pub grid: FaultGrid,
+    pub rest_angles_rad: Vec<f64>,
+    pub load_n_m: f64,
+    /// sequence, rate, channels and sensors
+    pub experiment: Experiment,
+    pub seed: u64,
+    pub keep_telemetry: bool,
+    pub keep_features: bool,
+    /// P2 from i_eq
+    pub equivalent_current: bool,
+}
+
+impl Plan {
+    /// All runs in order: rest angle outermost, then zeta, then FSJ.
+    pub fn runs(&self) -> Vec<Run> {
+        let mut runs = Vec::new();
+        for &rest_angle_rad in &self.rest_angles_rad {
+            for fault in self.grid.points() {
+                let number = runs.len() as u64;
+                let lane = Lane { actuator: self.actuator.clone(), fault, rest_angle_rad, load_n_m: self.load_n_m };
+                runs.push(Run { number, lane, seed: self.seed.wrapping_add(number) });
+            }
+        }
+        runs
+    }
+
+    /// Of everything that the results depend on.
+    pub fn fingerprint(&self) -> String {
+        let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
+        fingerprint(&format!(
+            "plan;{};{};{};{};{};{};{};{};{};{};{:x};{}{}{}",
+            self.actuator.fingerprint(),
+            self.experiment.sequence.fingerprint(),
+            list(&self.grid.fsj),
+            list(&self.grid.zeta),
+            list(&self.rest_angles_rad),
+            exact(self.load_n_m),
+            exact(self.experiment.rate_hz),
+            self.experiment.sensor_fingerprint(),
+            self.seed,
+            FEATURE_SEEDS,
+            self.experiment.channels.0,
+            self.keep_telemetry,
+            self.keep_features,
+            self.equivalent_current,
+        ))
+    }
+
+    pub fn provenance(&self) -> Provenance {
+        let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
+        Provenance {
+            actuator: self.actuator.name.clone(),
+            parameters: self.actuator.fingerprint(),
+            sequence: self.experiment.sequence.name.clone(),
+            sequence_fingerprint: self.experiment.sequence.fingerprint(),
+            grid: fingerprint(&format!("grid;{};{}", list(&self.grid.fsj), list(&self.grid.zeta))),
+            sensors: self.experiment.sensor_fingerprint(),
+            effects: String::new(),
+            rate_hz: self.experiment.rate_hz,
+            step_s: self.actuator.step_s,
+            seed: self.seed,
+            commit: COMMIT.into(),
+            model: "ntb".into(),
+        }
+    }
+
+    fn description(&self) -> String {
+        format!(
+            "actuator {} ({})\nsequence {} at {} Hz\ngrid {}: {} FSJ x {} zeta x {} rest angles\nsensors {}\nseed {}",
+            self.actuator.name,
+            self.actuator.fingerprint(),
+            self.experiment.sequence.name,
+            self.experiment.rate_hz,
+            self.grid.name,
+            self.grid.fsj.len(),
+            self.grid.zeta.len(),
+            self.rest_angles_rad.len(),
+            self.experiment.sensors.as_ref().map_or("none", |s| &s.name),
+            self.seed,
+        )
+    }
+}
+
+/// Sensor model and noise that all runs of a plan share.
+struct Noise {
+    model: SensorModel,
+    seeds: Vec<SensorNoise>,
+}
+
+/// Features of one run, averaged over noise seeds.
+struct FeatureSink {
+    plan: Arc<FeaturePlan>,
+    noise: Option<Arc<Noise>>,
+    extractors: Vec<FeatureExtractor>,
+    gear_ratio: f64,
+    measured: TelemetryBuffer,
+}
+
+impl FeatureSink {
+    fn new(plan: Arc<FeaturePlan>, noise: Option<Arc<Noise>>, gear_ratio: f64, channels: ChannelSet) -> Self {
+        let n = noise.as_ref().map_or(1, |n| n.seeds.len());
+        let extractors = vec![FeatureExtractor::new(plan.clone()); n];
+        Self { plan, noise, extractors, gear_ratio, measured: TelemetryBuffer::new(channels, 512) }
+    }
+
+    fn push(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) {
+        let Some(noise) = &self.noise else { return self.extractors[0].push(view) };
+        if !self.plan.needs(view.first, view.rows) {
+            return;
+        }
+        for (seed, x) in noise.seeds.iter().zip(&mut self.extractors) {
+            let rest_angle_rad = header.rest_angle_rad.unwrap_or(0.0);
+            let sensors = Sensors { model: &noise.model, noise: seed, gear_ratio: self.gear_ratio, rest_angle_rad };
+            sensors.measure(view, &mut self.measured);
+            x.push(&self.measured.view());
+        }
+    }
+
+    /// Mean and standard deviation over the seeds: mean speed, ripple, P2, P3.
+    fn result(&self) -> [(Option<f64>, f64); 4] {
+        let all: Vec<RawFeatures> = self.extractors.iter().map(FeatureExtractor::features).collect();
+        let stat = |get: fn(&RawFeatures) -> Option<f64>| {
+            let values: Option<Vec<f64>> = all.iter().map(get).collect();
+            let Some(v) = values else { return (None, 0.0) };
+            let mean = v.iter().sum::<f64>() / v.len() as f64;
+            let var = v.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / (v.len().max(2) - 1) as f64;
+            (Some(mean), var.sqrt())
+        };
+        [
+            stat(|f| f.mean_speed_rad_per_s),
+            stat(|f| f.ripple_rad_per_s),
+            stat(|f| f.p2_a),
+            stat(|f| f.p3_rad),
+        ]
+    }
+}
+
+/// Sink of one run: recorder, features, or both.
+pub struct RunSink {
+    recorder: Option<Recorder>,
+    noise: Option<(Arc<Noise>, SensorNoise)>,
+    measured: TelemetryBuffer,
+    features: Option<FeatureSink>,
+    gear_ratio: f64,
+}
+
+impl TelemetrySink for RunSink {
+    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> Result<()> {
+        if let Some(f) = &mut self.features {
+            f.push(header, view);
+        }
+        if let Some(r) = &mut self.recorder {
+            if let Some((noise, seed)) = &self.noise {
+                let rest_angle_rad = header.rest_angle_rad.unwrap_or(0.0);
+                let s = Sensors { model: &noise.model, noise: seed, gear_ratio: self.gear_ratio, rest_angle_rad };
+                s.measure(view, &mut self.measured);
+                r.accept(header, &self.measured.view())?;
+            } else {
+                r.accept(header, view)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Column names of the features table after run, fsj, zeta, rest_angle_rad.
+const FEATURE_COLUMNS: [&str; 8] = [
+    "mean_speed_rad_per_s",
+    "ripple_rad_per_s",
+    "p2_a",
+    "p3_rad",
+    "mean_speed_sd_rad_per_s",
+    "ripple_sd_rad_per_s",
+    "p2_sd_a",
+    "p3_sd_rad",
+];
+
+struct DatasetStore<'a> {
+    plan: &'a Plan,
+    runs: PathBuf,
+    features: PathBuf,
+    feature_plan: Arc<FeaturePlan>,
+    noise: Option<Arc<Noise>>,
+    rows: u64,
+}
+
+impl DatasetStore<'_> {
+    fn run_path(&self, run: &Run) -> PathBuf {
+        self.runs.join(format!("run-{:06}.parquet", run.number))
+    }
+    fn feature_path(&self, block: &Block) -> PathBuf {
+        self.features.join(format!("block-{:05}.parquet", block.number))
+    }
+}
+
+impl Store for DatasetStore<'_> {
+    type Sink = RunSink;
+
+    fn is_done(&self, block: &Block) -> bool {
+        let telemetry = |r: &Run| Recording::open(&self.run_path(r)).is_ok_and(|f| f.rows == self.rows);
+        (!self.plan.keep_telemetry || block.runs.iter().all(telemetry))
+            && (!self.plan.keep_features || metadata(&self.feature_path(block)).is_ok())
+    }
+
+    fn open(&self, block: &Block) -> Result<Vec<RunSink>> {
+        let channels = self.plan.experiment.channels;
+        let gear_ratio = self.plan.actuator.gear_ratio;
+        let sink = |run: &Run| {
+            Ok(RunSink {
+                recorder: if self.plan.keep_telemetry {
+                    let single = self.noise.is_some();
+                    Some(Recorder::create(&self.run_path(run), &self.plan.provenance(), channels, single)?)
+                } else {
+                    None
+                },
+                noise: match &self.noise {
+                    Some(n) if self.plan.keep_telemetry => {
+                        Some((n.clone(), SensorNoise::new(run.seed, self.rows as usize)))
+                    }
+                    _ => None,
+                },
+                measured: TelemetryBuffer::new(channels, 512),
+                features: self
+                    .plan
+                    .keep_features
+                    .then(|| FeatureSink::new(self.feature_plan.clone(), self.noise.clone(), gear_ratio, channels)),
+                gear_ratio,
+            })
+        };
+        block.runs.iter().map(sink).collect()
+    }
+
+    fn commit(&self, block: &Block, sinks: Vec<RunSink>) -> Result<()> {
+        let mut rows = Vec::new();
+        for (run, sink) in block.runs.iter().zip(sinks) {
+            if let Some(r) = sink.recorder {
+                r.finish()?;
+            }
+            if let Some(f) = sink.features {
+                rows.push((run, f.result()));
+            }
+        }
+        if self.plan.keep_features {
+            write_features(&self.feature_path(block), &self.plan.provenance(), &rows)?;
+        }
+        Ok(())
+    }
+}
+
+/// Features table of one block.
+fn write_features(path: &Path, provenance: &Provenance, rows: &[(&Run, [(Option<f64>, f64); 4])]) -> Result<()> {
+    let mut fields = vec![Field::new("run", DataType::UInt64, false)];
+    for name in ["fsj", "zeta", "rest_angle_rad"].iter().chain(&FEATURE_COLUMNS) {
+        fields.push(Field::new(*name, DataType::Float64, true));
+    }
+    let schema = Arc::new(Schema::new(fields));
+    let numbers = |f: &dyn Fn(&(&Run, [(Option<f64>, f64); 4])) -> Option<f64>| -> ArrayRef {
+        Arc::new(rows.iter().map(f).collect::<Float64Array>())
+    };
+    let mut columns: Vec<ArrayRef> = vec![
+        Arc::new(UInt64Array::from_iter_values(rows.iter().map(|(r, _)| r.number))),
+        numbers(&|(r, _)| Some(r.lane.fault.fsj)),
+        numbers(&|(r, _)| Some(r.lane.fault.zeta)),
+        numbers(&|(r, _)| Some(r.lane.rest_angle_rad)),
+    ];
+    for k in 0..4 {
+        columns.push(numbers(&|(_, f)| f[k].0));
+    }
+    for k in 0..4 {
+        columns.push(numbers(&|(_, f)| f[k].0.map(|_| f[k].1)));
+    }
+    let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
+    let batch = RecordBatch::try_new(schema.clone(), columns).map_err(|e| torn(&e))?;
+    let tmp = temporary(path);
+    let file = File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;
+    let properties = writer_properties(&schema, provenance.pairs());
+    let mut w = ArrowWriter::try_new(file, schema, Some(properties)).map_err(|e| torn(&e))?;
+    w.write(&batch).map_err(|e| torn(&e))?;
+    let file = w.into_inner().map_err(|e| torn(&e))?;
+    file.sync_all().map_err(|e| Error::io(path, "cannot be written", e))?;
+    std::fs::rename(&tmp, path).map_err(|e| Error::io(path, "cannot be renamed", e))
+}
+
+/// Works through a plan into `dir`. `Ok(None)` where it was interrupted; the steps made otherwise.
+pub fn generate(plan: &Plan, dir: &Path, title: &str) -> Result<Option<u64>> {
+    let folder = Folder::open(dir, &plan.fingerprint(), &plan.description())?;
+    let e = &plan.experiment;
+    let rows = e.rows();
+    let noise = e.sensors.as_ref().map(|model| {
+        let seeds = if plan.keep_features { FEATURE_SEEDS } else { 0 };
+        Arc::new(Noise {
+            model: model.clone(),
+            seeds: (0..seeds).map(|s| SensorNoise::new(u64::MAX - s, rows as usize)).collect(),
+        })
+    });
+    let store = DatasetStore {
+        plan,
+        runs: if plan.keep_telemetry { folder.part("runs")? } else { PathBuf::new() },
+        features: if plan.keep_features { folder.part("features")? } else { PathBuf::new() },
+        feature_plan: Arc::new(FeaturePlan::new(&plan.actuator, &e.sequence, e.rate_hz, plan.equivalent_current)),
+        noise,
+        rows,
+    };
+    let list = blocks(plan.runs());
+    let total = list.iter().map(|b| b.runs.len() as u64).sum();
+    let progress = Arc::new(Progress::default());
+    // sensors are applied by the sinks, each with its own seeds
+    let bare = Experiment { sensors: None, ..e.clone() };
+    let whole = crate::progress::with_bar(title, total, &progress, || work(&bare, &list, &store, &progress))?;
+    Ok(whole.then(|| progress.steps.load(std::sync::atomic::Ordering::Relaxed)))
+}

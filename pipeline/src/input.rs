@@ -1,0 +1,288 @@
+//! Telemetry from outside: the project's Parquet and plain CSV, checked row by row.
+
+use anyhow::{Result, bail};
+use schemas::channel::{Channel, ChannelSet};
+use schemas::error::Error;
+use schemas::sequence::TestSequence;
+use schemas::telemetry::{Collector, TelemetryBuffer, TelemetryHeader, TelemetrySink};
+use sim_worker::command::CommandTrack;
+use sim_worker::sensor::SensorModel;
+use std::io::Read;
+use std::path::Path;
+
+/// Lowest telemetry rate that a diagnosis takes [Hz].
+pub const LOWEST_RATE_HZ: f64 = 1000.0;
+
+/// Largest deviation of a time stamp from a steady rate, as a share of the period.
+const JITTER: f64 = 0.05;
+
+/// One recorded run in memory, and what the file says of itself.
+pub struct Measured {
+    pub telemetry: Collector,
+    pub rate_hz: f64,
+    /// empty where the file does not say
+    pub parameters: String,
+    pub sequence: String,
+    pub sequence_fingerprint: String,
+    pub sensors: String,
+}
+
+/// Opens a `.parquet` or `.csv` file; `run` chooses one of several in a Parquet file.
+pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
+    let mut magic = [0; 4];
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+    let n = file.read(&mut magic).map_err(|e| Error::io(path, "cannot be read", e))?;
+    if n == 0 {
+        return Err(Error::torn(path, "empty file (0 bytes); allowed: a Parquet or CSV telemetry file").into());
+    }
+    let parquet = &magic == b"PAR1" || path.extension().is_some_and(|e| e == "parquet");
+    let m = if parquet { open_parquet(path, run)? } else { open_csv(path)? };
+    check(path, &m)?;
+    Ok(m)
+}
+
+struct OneRun {
+    wanted: Option<u64>,
+    seen: Vec<u64>,
+    collector: Collector,
+}
+
+impl TelemetrySink for OneRun {
+    fn accept(
+        &mut self,
+        header: &TelemetryHeader,
+        view: &schemas::telemetry::TelemetryView<'_>,
+    ) -> schemas::error::Result<()> {
+        if self.seen.last() != Some(&header.run) {
+            self.seen.push(header.run);
+        }
+        if self.wanted.is_none_or(|w| w == header.run) && (self.wanted.is_some() || self.seen.len() == 1) {
+            self.collector.accept(header, view)?;
+        }
+        Ok(())
+    }
+}
+
+fn open_parquet(path: &Path, run: Option<u64>) -> Result<Measured> {
+    let r = schemas::recording::Recording::open(path)?;
+    let mut one = OneRun { wanted: run, seen: Vec::new(), collector: Collector::default() };
+    r.replay(8192, &mut one)?;
+    let file = path.display().to_string();
+    if run.is_none() && one.seen.len() > 1 {
+        let found = format!("{} runs", one.seen.len());
+        return Err(Error::bad(file, "file", found, "one run, or --run NUMBER to choose one").into());
+    }
+    if one.collector.rows() == 0 {
+        let found = run.map_or("no rows".to_string(), |r| format!("no run {r}"));
+        return Err(Error::bad(file, "file", found, format!("one of the runs {:?}", one.seen)).into());
+    }
+    let p = r.provenance;
+    Ok(Measured {
+        telemetry: one.collector,
+        rate_hz: p.rate_hz,
+        parameters: p.parameters,
+        sequence: p.sequence,
+        sequence_fingerprint: p.sequence_fingerprint,
+        sensors: p.sensors,
+    })
+}
+
+fn open_csv(path: &Path) -> Result<Measured> {
+    let file = path.display().to_string();
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .from_path(path)
+        .map_err(|e| Error::torn(path, e))?;
+    let head = reader.headers().map_err(|e| Error::torn(path, e))?.clone();
+    let names: Vec<&str> = head.iter().map(|h| h.trim_start_matches('\u{feff}')).collect();
+    let place = |n: &str| names.iter().position(|h| *h == n);
+    let needed = ["t", "com", "theta_m", "omega_m", "i_eq"];
+    let absent: Vec<&str> = needed.iter().copied().filter(|n| place(n).is_none()).collect();
+    if !absent.is_empty() {
+        let allowed = format!("columns {} (missing: {})", needed.join(","), absent.join(","));
+        return Err(Error::bad(file, "header", names.join(","), allowed).into());
+    }
+    let time = place("t").expect("checked");
+    let columns: Vec<(usize, Channel)> =
+        names.iter().enumerate().filter_map(|(i, n)| Channel::from_name(n).map(|c| (i, c))).collect();
+    let channels = ChannelSet::of(columns.iter().map(|(_, c)| *c));
+    let mut t = Vec::new();
+    let mut buffer = TelemetryBuffer::new(channels, 4096);
+    let mut record = csv::StringRecord::new();
+    loop {
+        let line = reader.position().line();
+        match reader.read_record(&mut record) {
+            Ok(true) => {}
+            Ok(false) => break,
+            Err(e) => {
+                let found = e.to_string();
+                return Err(Error::bad(file, format!("line {line}"), found, format!("{} columns", names.len())).into());
+            }
+        }
+        let line = record.position().map_or(line, |p| p.line());
+        let number = |i: usize| -> Result<f64> {
+            let text = &record[i];
+            match text.parse::<f64>() {
+                Ok(x) if x.is_finite() => Ok(x),
+                _ => {
+                    let place = format!("line {line}, column `{}`", names[i]);
+                    let found = if text.is_empty() { "nothing" } else { text };
+                    Err(Error::bad(&file, place, found, "a finite number").into())
+                }
+            }
+        };
+        let now = number(time)?;
+        if let Some(&last) = t.last() {
+            if now <= last {
+                let allowed = format!("a time after {last}");
+                return Err(Error::bad(file, format!("line {line}, column `t`"), now, allowed).into());
+            }
+        }
+        t.push(now);
+        for &(i, c) in &columns {
+            let x = number(i)?;
+            buffer.column_mut(c).expect("made with these channels").push(x);
+        }
+    }
+    if t.len() < 2 {
+        return Err(Error::bad(file, "file", format!("{} rows", t.len()), "at least 2 rows after the header").into());
+    }
+    let n = t.len();
+    let rate = (n - 1) as f64 / (t[n - 1] - t[0]);
+    let round = rate.round();
+    let rate_hz = if (rate - round).abs() < 1e-3 * rate { round } else { rate };
+    for (i, &x) in t.iter().enumerate() {
+        let steady = t[0] + i as f64 / rate_hz;
+        if (x - steady).abs() * rate_hz > JITTER {
+            let allowed = format!("{steady:.6} +- {JITTER} of a period (steady {rate_hz} Hz)");
+            return Err(Error::bad(file, format!("line {}, column `t`", i + 2), x, allowed).into());
+        }
+    }
+    // sample n is of the interval that ends at n / rate
+    buffer.first = ((t[0] * rate_hz).round() as i64).max(0) as u64;
+    let mut rows = n;
+    if buffer.first == 0 {
+        // a value at t = 0 belongs to no interval
+        for (_, c) in &columns {
+            buffer.column_mut(*c).expect("made with these channels").remove(0);
+        }
+        buffer.first = 1;
+        rows -= 1;
+    }
+    buffer.set_rows(rows);
+    let mut telemetry = Collector::default();
+    let header = TelemetryHeader {
+        run: 0,
+        actuator: String::new(),
+        parameters: String::new(),
+        sensors: String::new(),
+        sequence: String::new(),
+        rate_hz,
+        channels,
+        fault: None,
+        rest_angle_rad: None,
+    };
+    telemetry.accept(&header, &buffer.view())?;
+    Ok(Measured {
+        telemetry,
+        rate_hz,
+        parameters: String::new(),
+        sequence: String::new(),
+        sequence_fingerprint: String::new(),
+        sensors: String::new(),
+    })
+}
+
+fn check(path: &Path, m: &Measured) -> Result<()> {
+    let file = path.display().to_string();
+    if m.rate_hz < LOWEST_RATE_HZ * (1.0 - 1e-6) {
+        let allowed = format!("a steady rate of at least {LOWEST_RATE_HZ} Hz");
+        return Err(Error::bad(file, "rate [Hz]", m.rate_hz, allowed).into());
+    }
+    for c in [Channel::Com, Channel::ThetaM, Channel::OmegaM, Channel::IEq] {
+        let Some(values) = m.telemetry.column(c) else {
+            let allowed = format!("a column `{}`", c.name());
+            return Err(Error::bad(file, "columns", "nothing", allowed).into());
+        };
+        if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+            let place = format!("row {}, column `{}`", i + 1, c.name());
+            return Err(Error::bad(file, place, values[i], "a finite number").into());
+        }
+    }
+    Ok(())
+}
+
+/// Share of the recording's samples whose command is that of `sequence`, and how many lie within it.
+fn agreement(m: &Measured, sequence: &TestSequence, step_s: f64) -> (f64, usize) {
+    let com = m.telemetry.column(Channel::Com).expect("checked when opened");
+    let rows = (sequence.duration_s() * m.rate_hz + 1e-6).floor() as usize;
+    let first = m.telemetry.first as usize;
+    let n = com.len().min((rows + 1).saturating_sub(first));
+    let track = CommandTrack::new(sequence, step_s);
+    let steps = |row: usize| (row as f64 / (m.rate_hz * step_s)).round() as u64;
+    let at = |row: usize| {
+        let mut c = [0.0];
+        track.fill(steps(row).saturating_sub(1), &mut c);
+        c[0]
+    };
+    let mut good = 0;
+    for (i, &c) in com[..n].iter().enumerate() {
+        let row = first + i;
+        let (before, now, after) = (at(row.saturating_sub(1).max(1)), at(row), at(row + 1));
+        // a sample early or late, and a part in a thousand
+        let slack = 1e-3 * now.abs() + 1e-9;
+        if c >= before.min(now).min(after) - slack && c <= before.max(now).max(after) + slack {
+            good += 1;
+        }
+    }
+    (good as f64 / com.len() as f64, n)
+}
+
+/// The sequence that the recording's command follows.
+pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -> Result<TestSequence> {
+    const ENOUGH: f64 = 0.98;
+    let by_name = wanted.or((!m.sequence.is_empty()).then_some(m.sequence.as_str()));
+    if let Some(name) = by_name {
+        if let Ok(s) = sim_worker::datasets::sequence(name) {
+            let (share, _) = agreement(m, &s, step_s);
+            if share < ENOUGH {
+                let found = format!("a command of which {:.0} % follow `{name}`", 100.0 * share);
+                let allowed = format!("sequence `{name}` in at least {:.0} % of the samples", 100.0 * ENOUGH);
+                return Err(Error::bad(path.display().to_string(), "column `com`", found, allowed).into());
+            }
+            return Ok(s);
+        }
+        if wanted.is_some() {
+            sim_worker::datasets::sequence(name)?;
+        }
+    }
+    let mut best: Option<(f64, TestSequence)> = None;
+    for name in sim_worker::datasets::sequence_names() {
+        let s = sim_worker::datasets::sequence(name)?;
+        let (share, _) = agreement(m, &s, step_s);
+        if best.as_ref().is_none_or(|(b, _)| share > *b) {
+            best = Some((share, s));
+        }
+    }
+    match best {
+        Some((share, s)) if share >= ENOUGH => Ok(s),
+        Some((share, s)) => {
+            let found = format!("a command that no known sequence follows (nearest `{}`, {:.0} %)", s.name, 100.0 * share);
+            let names: Vec<&str> = sim_worker::datasets::sequence_names().collect();
+            let allowed = format!("{} or --sequence FILE.toml", names.join(", "));
+            Err(Error::bad(path.display().to_string(), "column `com`", found, allowed).into())
+        }
+        None => bail!("no sequences are built in"),
+    }
+}
+
+/// Whether the recording looks quantised as `model` would have it: motor positions on the
+/// resolver's counts.
+pub fn is_quantised(m: &Measured, model: &SensorModel) -> bool {
+    let theta = m.telemetry.column(Channel::ThetaM).expect("checked when opened");
+    let lsb = model.resolver_count_rad();
+    // beyond 20 rad a single-precision file no longer resolves a twentieth of a count
+    let near: Vec<f64> = theta.iter().copied().filter(|x| *x != 0.0 && x.abs() < 20.0).collect();
+    let on = near.iter().filter(|x| ((*x / lsb) - (*x / lsb).round()).abs() < 0.05).count();
+    !near.is_empty() && on as f64 >= 0.99 * near.len() as f64
+}

@@ -1,0 +1,251 @@
+//! The map builder: features of a dataset, read with polars, become failure maps.
+
+use crate::generate::{COMMIT, Plan, generate};
+use anyhow::Result;
+use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
+use polars::prelude::*;
+use schemas::channel::ChannelSet;
+use schemas::error::Error;
+use schemas::fault::FaultGrid;
+use schemas::feature::{Feature, RawFeatures};
+use schemas::fingerprint::fingerprint;
+use schemas::recording::{Provenance, metadata};
+use schemas::sequence::{Command, TestSequence};
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::SensorModel;
+use sim_worker::simulate::Experiment;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Rest angles closer than this are one [rad] (0.1 degrees; P3 moves by less than 0.1 % over it).
+pub const REST_ANGLE_STEP_RAD: f64 = std::f64::consts::TAU / 3600.0;
+
+/// What maps are made for.
+#[derive(Clone, Debug)]
+pub struct MapRequest {
+    pub actuator: Arc<ActuatorParameters>,
+    pub sequence: TestSequence,
+    pub rate_hz: f64,
+    pub sensors: Option<SensorModel>,
+    pub rest_angle_rad: f64,
+    pub equivalent_current: bool,
+    pub grid: FaultGrid,
+}
+
+impl MapRequest {
+    fn plan(&self) -> Result<Plan> {
+        let step = self.actuator.step_s;
+        let channels = ChannelSet::basic();
+        let experiment = Experiment::new(self.sequence.clone(), self.rate_hz, channels, self.sensors.clone(), step)?;
+        Ok(Plan {
+            actuator: self.actuator.clone(),
+            grid: self.grid.clone(),
+            rest_angles_rad: vec![self.rest_angle_rad],
+            load_n_m: 0.0,
+            experiment,
+            seed: 0,
+            keep_telemetry: false,
+            keep_features: true,
+            equivalent_current: self.equivalent_current,
+        })
+    }
+}
+
+/// The nearest angle on the 0.1 degree grid, in `0..2 pi`.
+pub fn rounded_rest_angle(angle_rad: f64) -> f64 {
+    let steps = (angle_rad / REST_ANGLE_STEP_RAD).round().rem_euclid(3600.0);
+    steps * REST_ANGLE_STEP_RAD
+}
+
+/// Folder of cached maps: `EMA_CACHE_DIR`, else `XDG_CACHE_HOME/ema`, else `~/.cache/ema`.
+pub fn cache_dir() -> PathBuf {
+    let var = |k: &str| std::env::var_os(k).filter(|v| !v.is_empty()).map(PathBuf::from);
+    var("EMA_CACHE_DIR")
+        .or_else(|| var("XDG_CACHE_HOME").map(|p| p.join("ema")))
+        .or_else(|| var("HOME").map(|p| p.join(".cache/ema")))
+        .unwrap_or_else(|| std::env::temp_dir().join("ema-cache"))
+}
+
+/// Maps for a request from the cache, made on first use.
+pub fn cached(request: &MapRequest) -> Result<FailureMapSet> {
+    let plan = request.plan()?;
+    let key = fingerprint(&format!("{};{};{}", plan.fingerprint(), COMMIT, env!("CARGO_PKG_VERSION")));
+    let dir = cache_dir().join("maps").join(key);
+    let file = dir.join("maps.parquet");
+    if let Ok(set) = FailureMapSet::load(&file) {
+        return Ok(set);
+    }
+    let n = plan.runs().len();
+    eprintln!("making failure maps ({n} runs, kept in {})", dir.display());
+    if generate(&plan, &dir, "maps")?.is_none() {
+        return Err(crate::Interrupted.into());
+    }
+    let set = build(&dir, &request.sequence, &request.actuator, request.equivalent_current, None)?;
+    set.save(&file)?;
+    Ok(set)
+}
+
+/// A path that polars takes as a pattern only where it is meant as one.
+pub fn scan(pattern: &Path) -> Result<LazyFrame> {
+    let path = PlRefPath::new(pattern.to_string_lossy());
+    LazyFrame::scan_parquet(path, ScanArgsParquet::default()).map_err(|e| Error::torn(pattern, e).into())
+}
+
+fn first_file(dir: &Path) -> Result<PathBuf> {
+    let features = dir.join("features");
+    let list = std::fs::read_dir(&features).map_err(|e| Error::io(&features, "cannot be read", e))?;
+    let mut files: Vec<PathBuf> =
+        list.flatten().map(|e| e.path()).filter(|p| p.extension().is_some_and(|x| x == "parquet")).collect();
+    files.sort();
+    let allowed = "a dataset with features (ema simulate)";
+    files.into_iter().next().ok_or_else(|| {
+        Error::bad(features.display().to_string(), "folder", "no Parquet files", allowed).into()
+    })
+}
+
+/// Builds the maps of a dataset.
+///
+/// * `dir` dataset folder with `features/`
+/// * `rest_angle_rad` which of the dataset's rest angles; the only one if `None`
+pub fn build(
+    dir: &Path,
+    sequence: &TestSequence,
+    actuator: &ActuatorParameters,
+    equivalent_current: bool,
+    rest_angle_rad: Option<f64>,
+) -> Result<FailureMapSet> {
+    let first = first_file(dir)?;
+    let provenance = Provenance::from_pairs(&first, &metadata(&first)?)?;
+    let file = dir.display().to_string();
+    if provenance.parameters != actuator.fingerprint() {
+        let (found, allowed) = (provenance.parameters, actuator.fingerprint());
+        return Err(Error::bad(file, "parameter fingerprint", found, format!("{allowed} ({})", actuator.name)).into());
+    }
+    if provenance.sequence_fingerprint != sequence.fingerprint() {
+        let (found, allowed) = (provenance.sequence_fingerprint, sequence.fingerprint());
+        return Err(Error::bad(file, "sequence fingerprint", found, format!("{allowed} ({})", sequence.name)).into());
+    }
+    let table = scan(&dir.join("features/*.parquet"))?
+        .sort(["rest_angle_rad", "zeta", "fsj"], SortMultipleOptions::default())
+        .collect()
+        .map_err(|e| Error::torn(dir, e))?;
+    let column = |name: &str| -> Result<Vec<Option<f64>>> {
+        let c = table.column(name).map_err(|e| Error::torn(dir, e))?;
+        Ok(c.as_materialized_series().f64().map_err(|e| Error::torn(dir, e))?.iter().collect())
+    };
+    let whole = |name: &str| -> Result<Vec<f64>> {
+        let values: Option<Vec<f64>> = column(name)?.into_iter().collect();
+        values.ok_or_else(|| Error::bad(&file, format!("column `{name}`"), "null", "a number in every row").into())
+    };
+    let (fsj_all, zeta_all, rest_all) = (whole("fsj")?, whole("zeta")?, whole("rest_angle_rad")?);
+    let distinct = |v: &[f64]| {
+        let mut v = v.to_vec();
+        v.sort_by(f64::total_cmp);
+        v.dedup();
+        v
+    };
+    let angles = distinct(&rest_all);
+    let rest = match rest_angle_rad {
+        Some(a) => *angles.iter().find(|&&x| (x - a).abs() < 0.5 * REST_ANGLE_STEP_RAD).ok_or_else(|| {
+            let list: Vec<String> = angles.iter().map(|a| format!("{:.1}", a.to_degrees())).collect();
+            Error::bad(&file, "rest angle [deg]", format!("{:.1}", a.to_degrees()), list.join(", "))
+        })?,
+        None if angles.len() == 1 => angles[0],
+        None => {
+            let found = format!("{} rest angles", angles.len());
+            return Err(Error::bad(file, "dataset", found, "one, or a rest angle to choose").into());
+        }
+    };
+    let rows: Vec<usize> = (0..rest_all.len()).filter(|&i| rest_all[i] == rest).collect();
+    let pick = |v: &[f64]| -> Vec<f64> { rows.iter().map(|&i| v[i]).collect() };
+    let (fsj, zeta) = (distinct(&pick(&fsj_all)), distinct(&pick(&zeta_all)));
+    for (k, &i) in rows.iter().enumerate() {
+        let (f, z) = (fsj[k % fsj.len()], zeta.get(k / fsj.len()).copied().unwrap_or(f64::NAN));
+        if (fsj_all[i], zeta_all[i]) != (f, z) {
+            let found = format!("(FSJ {}, zeta {})", fsj_all[i], zeta_all[i]);
+            return Err(Error::bad(file, format!("grid point {k}"), found, format!("(FSJ {f}, zeta {z})")).into());
+        }
+    }
+    if rows.len() != fsj.len() * zeta.len() {
+        let found = format!("{} runs", rows.len());
+        let allowed = format!("{} x {} grid points, each once", fsj.len(), zeta.len());
+        return Err(Error::bad(file, "dataset", found, allowed).into());
+    }
+    // raw features of every grid point
+    let get = |name: &str| -> Result<Vec<Option<f64>>> {
+        let all = column(name)?;
+        Ok(rows.iter().map(|&i| all[i]).collect())
+    };
+    let (mean, ripple) = (get("mean_speed_rad_per_s")?, get("ripple_rad_per_s")?);
+    let (p2, p3) = (get("p2_a")?, get("p3_rad")?);
+    let (mean_sd, ripple_sd) = (get("mean_speed_sd_rad_per_s")?, get("ripple_sd_rad_per_s")?);
+    let (p2_sd, p3_sd) = (get("p2_sd_a")?, get("p3_sd_rad")?);
+    let healthy = rows.iter().position(|&i| fsj_all[i] == 1.0 && zeta_all[i] == 0.0);
+    let healthy = healthy.ok_or_else(|| Error::bad(&file, "grid", "no healthy point", "FSJ 1, zeta 0 on the grid"))?;
+    let nominal = RawFeatures {
+        mean_speed_rad_per_s: mean[healthy],
+        ripple_rad_per_s: ripple[healthy],
+        p2_a: p2[healthy],
+        p3_rad: p3[healthy],
+        rest_angle_rad: Some(rest),
+    };
+    let slope = sequence.segments.iter().find_map(|s| match s.command {
+        Command::Ramp { slope_rad_per_s } => Some(slope_rad_per_s.abs()),
+        _ => None,
+    });
+    let mut maps = Vec::new();
+    for feature in Feature::ALL {
+        let value = |i: usize| {
+            let raw = RawFeatures {
+                mean_speed_rad_per_s: mean[i],
+                ripple_rad_per_s: ripple[i],
+                p2_a: p2[i],
+                p3_rad: p3[i],
+                rest_angle_rad: Some(rest),
+            };
+            schemas::feature::Features::over(&raw, &nominal).get(feature)
+        };
+        let raw: Vec<Option<f64>> = (0..rows.len()).map(value).collect();
+        if raw.iter().all(Option::is_none) {
+            continue;
+        }
+        let raw: Vec<f64> = raw.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect();
+        let sd = |i: usize| -> f64 {
+            let s = |v: &[Option<f64>]| v[i].unwrap_or(0.0);
+            match feature {
+                Feature::P1 => {
+                    let d = mean[i].unwrap_or(0.0) - nominal.mean_speed_rad_per_s.unwrap_or(0.0);
+                    (s(&ripple) * s(&ripple_sd)).hypot(d * s(&mean_sd)) / raw[i].abs().max(1e-12)
+                }
+                Feature::P2 => s(&p2_sd),
+                Feature::P3 => s(&p3_sd) / nominal.p3_rad.unwrap_or(1.0),
+                Feature::Ripple => s(&ripple_sd),
+            }
+        };
+        let mut noise: Vec<f64> = (0..rows.len()).map(sd).collect();
+        noise.sort_by(f64::total_cmp);
+        let noise = noise[(noise.len() - 1) * 19 / 20];
+        let sample = match (feature, slope, nominal.p3_rad) {
+            (Feature::P3, Some(a), Some(p0)) => a / provenance.rate_hz / p0,
+            _ => 0.0,
+        };
+        maps.push(FailureMap::build(&file, feature, &fsj, &zeta, raw, noise, sample)?);
+    }
+    if maps.is_empty() {
+        return Err(Error::bad(file, "features", "none", format!("at least one map from `{}`", sequence.name)).into());
+    }
+    let header = MapSetHeader {
+        actuator: provenance.actuator,
+        parameters: provenance.parameters,
+        sequence: provenance.sequence,
+        sequence_fingerprint: provenance.sequence_fingerprint,
+        rate_hz: provenance.rate_hz,
+        sensors: provenance.sensors,
+        rest_angle_rad: rest,
+        equivalent_current,
+        grid: provenance.grid,
+        commit: provenance.commit,
+    };
+    Ok(FailureMapSet { header, nominal, maps })
+}
+

@@ -1,0 +1,52 @@
+//! Progress bars and Ctrl-C.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use sim_worker::worker::Progress;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// From now on Ctrl-C (and SIGTERM) asks long work to stop at the next chance; a second one ends
+/// the process at once.
+pub fn catch_interrupts() {
+    let _ = ctrlc::set_handler(|| {
+        if INTERRUPTED.swap(true, Ordering::SeqCst) {
+            std::process::exit(130);
+        }
+    });
+}
+
+/// Whether Ctrl-C was pressed.
+pub fn interrupted() -> bool {
+    INTERRUPTED.load(Ordering::SeqCst)
+}
+
+/// Runs `work` with a bar of `total` runs on standard error (none where that is no terminal),
+/// showing rate and time left, and passes Ctrl-C on to it.
+pub fn with_bar<T>(title: &str, total: u64, progress: &Arc<Progress>, work: impl FnOnce() -> T) -> T {
+    let bar = ProgressBar::new(total);
+    let style = "{msg} [{bar:30}] {pos}/{len} runs, {per_sec}, {eta} left";
+    bar.set_style(ProgressStyle::with_template(style).expect("a valid template").progress_chars("=> "));
+    bar.set_message(title.to_string());
+    let done = Arc::new(AtomicBool::new(false));
+    let watcher = {
+        let (bar, done, progress) = (bar.clone(), done.clone(), progress.clone());
+        std::thread::spawn(move || {
+            while !done.load(Ordering::Relaxed) {
+                bar.set_position(progress.runs.load(Ordering::Relaxed));
+                if interrupted() {
+                    progress.stop.store(true, Ordering::Relaxed);
+                }
+                std::thread::park_timeout(Duration::from_millis(50));
+            }
+        })
+    };
+    let result = work();
+    done.store(true, Ordering::Relaxed);
+    watcher.thread().unpark();
+    let _ = watcher.join();
+    bar.finish_and_clear();
+    result
+}

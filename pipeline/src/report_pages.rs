@@ -1,0 +1,119 @@
+//! What the report shows: maps with cuts, located areas, traces, tables.
+
+use crate::report::{Band, Curve, Figure, MapPlot, RegionPlot, Strip, TracePlot};
+use diagnoser::diagnosis::{Diagnosis, region};
+use diagnoser::failure_map::{FailureMap, FailureMapSet};
+use diagnoser::monotone;
+use schemas::channel::Channel;
+use schemas::fault::FaultState;
+use schemas::feature::Feature;
+use schemas::telemetry::Collector;
+use sim_worker::monitor::MonitorTrack;
+
+/// Most curves of a map that are drawn.
+const CURVES: usize = 11;
+
+/// A map with its curves, and the band of a measured value if there is one.
+pub fn map_plot(map: &FailureMap, value: Option<f64>, zeta: Option<f64>) -> MapPlot {
+    let step = (map.zeta.len() - 1).div_ceil(CURVES - 1).max(1);
+    let rows: Vec<usize> = (0..map.zeta.len()).step_by(step).collect();
+    let (f0, f1) = (map.fsj[0], map.fsj[map.fsj.len() - 1]);
+    let curves = rows
+        .iter()
+        .map(|&r| {
+            let c = map.curve(map.zeta[r]);
+            let points = (0..=120).map(|k| {
+                let f = f0 + (f1 - f0) * k as f64 / 120.0;
+                (f, map.direction.0 * monotone::at(&map.fsj, &c.y, &c.d, f))
+            });
+            Curve { zeta: map.zeta[r], points: points.collect() }
+        })
+        .collect();
+    let n = map.fsj.len();
+    let knots = rows.iter().flat_map(|&r| (0..n).map(move |c| (map.fsj[c], map.raw[r * n + c]))).collect();
+    let at = zeta.unwrap_or(map.zeta[map.zeta.len() / 2]);
+    MapPlot {
+        name: map.feature.name().to_uppercase(),
+        title: map.feature.title().into(),
+        unit: map.feature.unit().into(),
+        curves,
+        knots,
+        band: value.map(|value| Band { value, half_width: map.half_width(at) }),
+    }
+}
+
+/// The bands in the plane of the faults: whole range, or zoomed on the located area.
+pub fn region_plot(title: &str, set: &FailureMapSet, d: &Diagnosis, truth: Option<FaultState>, zoom: bool) -> RegionPlot {
+    let m = &set.maps[0];
+    let whole = ((m.fsj[0], m.fsj[m.fsj.len() - 1]), (m.zeta[0], m.zeta[m.zeta.len() - 1]));
+    let area = d.outcome.area();
+    let (fsj_range, zeta_range) = match (area, zoom) {
+        (Some(a), true) => {
+            let wide = |lo: f64, hi: f64, t: Option<f64>, (min, max): (f64, f64)| {
+                let (lo, hi) = t.map_or((lo, hi), |t| (lo.min(t), hi.max(t)));
+                let pad = 0.6 * (hi - lo).max(0.004 * (max - min));
+                ((lo - pad).max(min), (hi + pad).min(max))
+            };
+            (
+                wide(a.fsj.lo, a.fsj.hi, truth.map(|t| t.fsj), whole.0),
+                wide(a.zeta.lo, a.zeta.hi, truth.map(|t| t.zeta), whole.1),
+            )
+        }
+        _ => whole,
+    };
+    let lines = |k: i32| zeta_range.0 + (zeta_range.1 - zeta_range.0) * k as f64 / 240.0;
+    let strips = |s: &[diagnoser::diagnosis::Strip]| {
+        s.iter().map(|s| Strip { zeta: s.zeta, fsj_lo: s.fsj.lo, fsj_hi: s.fsj.hi }).collect::<Vec<_>>()
+    };
+    let regions = set
+        .maps
+        .iter()
+        .filter_map(|m| {
+            let v = d.features.get(m.feature)?;
+            let name = if m.feature == Feature::Ripple { "ripple".to_string() } else { m.feature.name().to_uppercase() };
+            Some((name, strips(&region(m, v, (0..=240).map(lines)))))
+        })
+        .collect();
+    RegionPlot {
+        title: title.into(),
+        fsj_range,
+        zeta_range,
+        regions,
+        area: area.map_or(Vec::new(), |a| strips(&a.strips)),
+        hull: area.map(|a| ((a.fsj.lo, a.fsj.hi), (a.zeta.lo, a.zeta.hi))),
+        truth: truth.map(|t| (t.fsj, t.zeta)),
+        estimate: area.map(|a| a.centroid),
+    }
+}
+
+/// Telemetry against time.
+pub fn traces(title: &str, label: &str, runs: &[(&str, &Collector)], rate_hz: f64, channel: Channel) -> TracePlot {
+    let series = runs
+        .iter()
+        .filter_map(|(name, c)| {
+            let v = c.column(channel)?;
+            let first = c.first;
+            let points = v.iter().enumerate().map(|(i, &y)| ((first + i as u64) as f64 / rate_hz, y)).collect();
+            Some((name.to_string(), points))
+        })
+        .collect();
+    TracePlot { title: title.into(), x_label: "time [s]".into(), y_label: format!("{label} [{}]", channel.unit()), series }
+}
+
+/// Numerical test bench beside the simplified model: position, speed, current, torque.
+pub fn model_comparison(ntb: &Collector, sm: &MonitorTrack, rate_hz: f64) -> Vec<(String, Figure)> {
+    let pairs: [(&str, &str, Channel, &[f64]); 4] = [
+        ("user position", "position", Channel::ThetaU, &sm.theta_u_rad),
+        ("motor speed", "speed", Channel::OmegaM, &sm.omega_rad_per_s),
+        ("equivalent current against |Im|", "current", Channel::IEq, &sm.abs_current_a),
+        ("motor torque", "torque", Channel::TorqueM, &sm.torque_n_m),
+    ];
+    let mut out = Vec::new();
+    for (title, label, channel, model) in pairs {
+        let mut plot = traces(&format!("NTB and SM: {title}"), label, &[("NTB", ntb)], rate_hz, channel);
+        let points = model.iter().enumerate().map(|(i, &y)| ((i + 1) as f64 / rate_hz, y)).collect();
+        plot.series.push(("SM".into(), points));
+        out.push((format!("models_{label}"), Figure::Trace(plot)));
+    }
+    out
+}
