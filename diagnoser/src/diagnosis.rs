@@ -12,6 +12,8 @@ pub const COVERAGE: f64 = 0.95;
 
 /// Lines of constant zeta on which the area is looked for, and on which it is then measured.
 const SEARCH_LINES: usize = 64;
+/// Lines of each grid row on which a band is looked for.
+const LINES_A_ROW: usize = 4;
 const AREA_LINES: usize = 100;
 
 /// FSJ interval on one curve.
@@ -91,46 +93,60 @@ struct Cut<'a> {
 impl Cut<'_> {
     /// FSJ interval of the band on the curve at `zeta`.
     fn interval(&self, zeta: f64) -> Option<Interval> {
-        let c = self.map.curve(zeta);
-        let h = self.map.half_width(zeta);
+        let b = self.map.band(zeta);
         let v = self.map.direction.0 * self.value;
-        monotone::preimage(&self.map.fsj, &c.y, &c.d, v - h, v + h).map(|(lo, hi)| Interval { lo, hi })
+        monotone::between(&self.map.fsj, (&b.low.y, &b.low.d), (&b.high.y, &b.high.d), v)
+            .map(|(lo, hi)| Interval { lo, hi })
     }
 
-    /// The zetas whose curves the band meets at all; `None` if there are none.
+    /// Side on which the value lies of the band of the curve at `zeta`, in the direction in which
+    /// the map rises with zeta: 1 above, -1 below, 0 where they meet.
+    fn side(&self, zeta: f64) -> i32 {
+        let b = self.map.band(zeta);
+        let v = self.map.direction.0 * self.value;
+        let turn = (self.map.direction.0 * self.map.direction.1) as i32;
+        if v > b.high.y[b.high.y.len() - 1] {
+            turn
+        } else if v < b.low.y[0] {
+            -turn
+        } else {
+            0
+        }
+    }
+
+    /// The zetas whose curves the band meets at all; `None` if there are none. Looked for on
+    /// the grid's lines and between them.
     fn zetas(&self) -> Option<Interval> {
         let m = self.map;
-        let (z0, z1) = (m.zeta[0], m.zeta[m.zeta.len() - 1]);
-        // signed distance of the band from the curve: above it (+), below it (-), 0 where they meet;
-        // it falls with zeta where the map rises with zeta
-        let side = |zeta: f64| {
-            let c = m.curve(zeta);
-            let h = m.half_width(zeta);
-            let (a, b) = (m.direction.0 * c.y[0], m.direction.0 * c.y[c.y.len() - 1]);
-            let (low, high) = (a.min(b), a.max(b));
-            if self.value - h > high {
-                1
-            } else if self.value + h < low {
-                -1
-            } else {
-                0
+        let mut lines: Vec<(f64, i32)> = Vec::new();
+        for w in m.zeta.windows(2) {
+            for k in 0..LINES_A_ROW {
+                let z = w[0] + (w[1] - w[0]) * k as f64 / LINES_A_ROW as f64;
+                lines.push((z, self.side(z)));
+            }
+        }
+        let last = m.zeta[m.zeta.len() - 1];
+        lines.push((last, self.side(last)));
+        let meets = |&(_, s): &(f64, i32)| s == 0;
+        let (lo, hi) = match (lines.iter().position(meets), lines.iter().rposition(meets)) {
+            (Some(a), Some(b)) => (a, b),
+            // the band may lie between two lines: above the one and below the other
+            _ => {
+                let k = lines.windows(2).position(|w| w[0].1 > 0 && w[1].1 < 0)?;
+                (k + 1, k)
             }
         };
-        let up = m.direction.1 as i32;
-        let bisect = |mut a: f64, mut b: f64, left: &dyn Fn(f64) -> bool| {
-            for _ in 0..60 {
+        // bisection towards the neighbouring lines; both limits end on the outside
+        let bisect = |mut a: f64, mut b: f64, left: &dyn Fn(i32) -> bool| {
+            for _ in 0..40 {
                 let t = 0.5 * (a + b);
-                if left(t) { a = t } else { b = t }
+                if left(self.side(t)) { a = t } else { b = t }
             }
             (a, b)
         };
-        let (s0, s1) = (up * side(z0), up * side(z1));
-        if s0 < 0 || s1 > 0 {
-            return None;
-        }
-        let lo = if s0 == 0 { z0 } else { bisect(z0, z1, &|z| up * side(z) > 0).1 };
-        let hi = if s1 == 0 { z1 } else { bisect(z0, z1, &|z| up * side(z) >= 0).0 };
-        (lo <= hi).then_some(Interval { lo, hi })
+        let low = if lo == 0 { lines[0].0 } else { bisect(lines[lo - 1].0, lines[lo].0, &|s| s > 0).0 };
+        let high = if hi + 1 >= lines.len() { last } else { bisect(lines[hi].0, lines[hi + 1].0, &|s| s >= 0).1 };
+        (low <= high).then_some(Interval { lo: low, hi: high })
     }
 }
 
@@ -253,8 +269,8 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
         .iter()
         .filter_map(|c| {
             let (lo, hi) = c.map.range();
-            let (z0, z1) = (c.map.zeta[0], c.map.zeta[c.map.zeta.len() - 1]);
-            let h = c.map.half_width(z0).max(c.map.half_width(z1));
+            let m = c.map;
+            let h = m.half_width(m.fsj[0], m.zeta[0]).max(m.half_width(m.fsj[m.fsj.len() - 1], m.zeta[m.zeta.len() - 1]));
             let text = |side: &str, end: f64| {
                 format!("{} = {:.5e} {} is {side} the map's end {end:.5e}", c.map.feature.name(), c.value, c.map.feature.unit())
             };

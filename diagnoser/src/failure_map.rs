@@ -16,14 +16,20 @@ use std::sync::Arc;
 
 /// Largest break of monotony that is projected away, as a share of the map's range (assumed). P3
 /// comes in whole samples; its limit is one sample if that is more.
-const BREAK_LIMIT: f64 = 0.015;
+const BREAK_LIMIT: f64 = 0.03;
 
 /// Sensor noise enters the half-width with this many standard deviations: with four maps each
 /// side of each band then misses with 0.3 %, and all four hold together in 97.6 % or more.
 const SIGMAS: f64 = 3.0;
 
-/// Leave-one-out doubles the spacing; an interpolation error of second order is then a quarter.
-const LEAVE_ONE_OUT_SHARE: f64 = 0.25;
+/// Leave-one-out doubles the spacing. What is left of its error at the grid's own spacing is
+/// judged by doubling once more: the error of a smooth feature falls to a quarter (second order)
+/// or less, that of a feature in steps not at all. No more than a quarter is believed.
+const SMOOTH_SHARE: f64 = 0.25;
+
+/// A leave-one-out error this many times the 95 % quantile is no interpolation error but a step
+/// of the feature; twice the error then goes into the band around that grid point.
+const STEP_RATIO: f64 = 3.0;
 
 /// What the bands of a map are made of, each part of the half-width in the feature's unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,8 +55,10 @@ pub struct FailureMap {
     /// the nearest monotone surface
     pub value: Vec<f64>,
     pub budget: BandBudget,
-    /// largest |raw - value| of each zeta row: carried into the band there
+    /// |raw - value| at each grid point
     pub residual: Vec<f64>,
+    /// what is added to the band at each grid point: the residual, and steps between grid points
+    margin: Vec<f64>,
     /// slopes of `value` across zeta
     slope: Vec<f64>,
 }
@@ -60,6 +68,14 @@ pub struct FailureMap {
 pub struct Curve {
     pub y: Vec<f64>,
     pub d: Vec<f64>,
+}
+
+/// A curve with its band, rising: the feature of a run with these faults lies between `low` and
+/// `high`, both monotone.
+#[derive(Clone, Debug)]
+pub struct BandCurve {
+    pub low: Curve,
+    pub high: Curve,
 }
 
 impl FailureMap {
@@ -102,11 +118,7 @@ impl FailureMap {
             let allowed = format!("a monotone surface within {limit:.3e} {}", feature.unit());
             return Err(Error::bad(file, format!("{n} grid points"), shown, allowed));
         }
-        let residual = raw
-            .chunks(columns)
-            .zip(value.chunks(columns))
-            .map(|(a, b)| a.iter().zip(b).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs())))
-            .collect();
+        let residual: Vec<f64> = raw.iter().zip(&value).map(|(a, b)| (a - b).abs()).collect();
         let mut map = Self {
             feature,
             direction,
@@ -115,11 +127,31 @@ impl FailureMap {
             raw,
             value,
             budget: BandBudget { noise, interpolation: 0.0, sample },
+            margin: residual.clone(),
             residual,
             slope: Vec::new(),
         };
         map.slope = map.slopes_across();
-        map.budget.interpolation = LEAVE_ONE_OUT_SHARE * map.leave_one_out(0.95);
+        let left_out = map.leave_one_out(1);
+        let most = |v: &[f64]| {
+            let mut v: Vec<f64> = v.iter().copied().filter(|e| *e > 0.0).collect();
+            v.sort_by(f64::total_cmp);
+            if v.is_empty() { 0.0 } else { v[((v.len() - 1) as f64 * 0.95).round() as usize] }
+        };
+        let (typical, coarse) = (most(&left_out), most(&map.leave_one_out(2)));
+        let share = if coarse > 0.0 { (typical / coarse).clamp(SMOOTH_SHARE, 1.0) } else { 1.0 };
+        map.budget.interpolation = share * typical;
+        let rows = map.zeta.len();
+        for (i, &e) in left_out.iter().enumerate().filter(|(_, e)| **e > STEP_RATIO * typical && **e > sample) {
+            // the step lies somewhere in the cells around the point
+            let (r, c) = (i / columns, i % columns);
+            for r in r.saturating_sub(1)..=(r + 1).min(rows - 1) {
+                for c in c.saturating_sub(1)..=(c + 1).min(columns - 1) {
+                    let m = &mut map.margin[r * columns + c];
+                    *m = m.max(2.0 * e);
+                }
+            }
+        }
         Ok(map)
     }
 
@@ -141,36 +173,33 @@ impl FailureMap {
         all
     }
 
-    /// Quantile `q` of the errors at interior grid points when each is left out in turn, along FSJ
-    /// and along zeta, the larger of the two.
-    fn leave_one_out(&self, q: f64) -> f64 {
+    /// Errors at the grid points when each is left out in turn, along FSJ and along zeta, the larger
+    /// of the two; 0 at the rim. `stride` 2 uses every second line and point.
+    fn leave_one_out(&self, stride: usize) -> Vec<f64> {
         let (rows, columns) = (self.zeta.len(), self.fsj.len());
-        let line = |x: &[f64], y: &[f64], out: &mut Vec<f64>| {
-            for k in 1..x.len() - 1 {
-                let without = |v: &[f64]| -> Vec<f64> {
-                    v.iter().enumerate().filter(|&(i, _)| i != k).map(|(_, &v)| v).collect()
-                };
-                let (xs, ys) = (without(x), without(y));
+        let mut out = vec![0.0_f64; self.value.len()];
+        let mut line = |x: &[f64], index: &dyn Fn(usize) -> usize| {
+            let kept: Vec<usize> = (0..x.len()).step_by(stride).collect();
+            for at in 1..kept.len().max(1) - 1 {
+                let others: Vec<usize> = kept.iter().copied().filter(|&k| k != kept[at]).collect();
+                if others.len() < 2 {
+                    continue;
+                }
+                let xs: Vec<f64> = others.iter().map(|&k| x[k]).collect();
+                let ys: Vec<f64> = others.iter().map(|&k| self.value[index(k)]).collect();
                 let mut d = vec![0.0; xs.len()];
                 monotone::slopes(&xs, &ys, &mut d);
-                out.push((monotone::at(&xs, &ys, &d, x[k]) - y[k]).abs());
+                let i = index(kept[at]);
+                out[i] = out[i].max((monotone::at(&xs, &ys, &d, x[kept[at]]) - self.value[i]).abs());
             }
         };
-        let quantile = |mut v: Vec<f64>| -> f64 {
-            v.sort_by(f64::total_cmp);
-            if v.is_empty() { 0.0 } else { v[((v.len() - 1) as f64 * q).round() as usize] }
-        };
-        let (mut along, mut across) = (Vec::new(), Vec::new());
-        if columns > 2 {
-            self.value.chunks(columns).for_each(|y| line(&self.fsj, y, &mut along));
+        for r in (0..rows).step_by(stride) {
+            line(&self.fsj, &|k| r * columns + k);
         }
-        if rows > 2 {
-            for c in 0..columns {
-                let y: Vec<f64> = (0..rows).map(|r| self.value[r * columns + c]).collect();
-                line(&self.zeta, &y, &mut across);
-            }
+        for c in (0..columns).step_by(stride) {
+            line(&self.zeta, &|k| k * columns + c);
         }
-        quantile(along).max(quantile(across))
+        out
     }
 
     /// The curve over FSJ at `zeta` (clamped to the map), rising.
@@ -209,11 +238,41 @@ impl FailureMap {
         self.direction.0 * monotone::at(&self.fsj, &c.y, &c.d, fsj)
     }
 
-    /// Half-width of the band at `zeta`, in the feature's unit.
-    pub fn half_width(&self, zeta: f64) -> f64 {
-        let r = monotone::piece(&self.zeta, zeta);
+    /// Half-width of the band that holds everywhere, in the feature's unit.
+    fn base(&self) -> f64 {
         let b = &self.budget;
-        SIGMAS * b.noise + b.interpolation + b.sample + self.residual[r].max(self.residual[r + 1])
+        SIGMAS * b.noise + b.interpolation + b.sample
+    }
+
+    /// Half-width of the band at a fault pair, in the feature's unit.
+    pub fn half_width(&self, fsj: f64, zeta: f64) -> f64 {
+        let (r, c) = (monotone::piece(&self.zeta, zeta), monotone::piece(&self.fsj, fsj));
+        let columns = self.fsj.len();
+        let corners = [(r, c), (r, c + 1), (r + 1, c), (r + 1, c + 1)];
+        self.base() + corners.iter().fold(0.0_f64, |m, (r, c)| m.max(self.margin[r * columns + c]))
+    }
+
+    /// The curve at `zeta` with its band, the margins of both neighbouring rows taken in.
+    pub fn band(&self, zeta: f64) -> BandCurve {
+        let c = self.curve(zeta);
+        let r = monotone::piece(&self.zeta, zeta.clamp(self.zeta[0], self.zeta[self.zeta.len() - 1]));
+        let n = self.fsj.len();
+        let h = |k: usize| self.base() + self.margin[r * n + k].max(self.margin[(r + 1) * n + k]);
+        let mut low: Vec<f64> = (0..n).map(|k| c.y[k] - h(k)).collect();
+        let mut high: Vec<f64> = (0..n).map(|k| c.y[k] + h(k)).collect();
+        // made monotone by giving way outwards
+        for k in (0..n - 1).rev() {
+            low[k] = low[k].min(low[k + 1]);
+        }
+        for k in 1..n {
+            high[k] = high[k].max(high[k - 1]);
+        }
+        let curve = |y: Vec<f64>| {
+            let mut d = vec![0.0; n];
+            monotone::slopes(&self.fsj, &y, &mut d);
+            Curve { y, d }
+        };
+        BandCurve { low: curve(low), high: curve(high) }
     }
 
     /// Smallest and largest value.
@@ -247,14 +306,20 @@ impl FailureMap {
             .collect();
         value.extend(above);
         zeta.push(zeta[nz - 1] + dz);
-        let mut residual = self.residual.clone();
-        residual.push(residual[nz - 1]);
+        let wider = |v: &[f64]| -> Vec<f64> {
+            let mut w: Vec<f64> =
+                v.chunks(nf).flat_map(|row| [&row[..1], row, &row[nf - 1..]].concat()).collect();
+            let last = w[(nz - 1) * n..].to_vec();
+            w.extend(last);
+            w
+        };
         let mut map = Self {
             fsj,
             zeta,
             raw: value.clone(),
             value,
-            residual,
+            residual: wider(&self.residual),
+            margin: wider(&self.margin),
             slope: Vec::new(),
             budget: self.budget.clone(),
             ..*self
@@ -279,6 +344,9 @@ pub struct MapSetHeader {
     pub equivalent_current: bool,
     pub grid: String,
     pub commit: String,
+    /// features whose surface is not monotone enough for a map, and why
+    #[serde(default)]
+    pub left_out: Vec<String>,
 }
 
 /// The maps of one actuator, sequence, rate, sensor model and rest angle.

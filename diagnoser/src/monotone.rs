@@ -61,16 +61,17 @@ pub fn at(x: &[f64], y: &[f64], d: &[f64], t: f64) -> f64 {
     value(x, y, d, piece(x, t), t)
 }
 
-/// The part of `x[0]..x[n-1]` where a rising interpolant lies in `low..high`; `None` where it
-/// does not meet the band. Bounds are good to 1e-12 of the range.
-pub fn preimage(x: &[f64], y: &[f64], d: &[f64], low: f64, high: f64) -> Option<(f64, f64)> {
+/// The part of `x[0]..x[n-1]` where `v` lies between two rising interpolants, `low` below `high`
+/// (values and slopes of each); `None` where it lies between them nowhere. Bounds are good to
+/// 1e-12 of the range.
+pub fn between(x: &[f64], low: (&[f64], &[f64]), high: (&[f64], &[f64]), v: f64) -> Option<(f64, f64)> {
     let n = x.len();
-    if y[0] > high || y[n - 1] < low {
+    if low.0[0] > v || high.0[n - 1] < v {
         return None;
     }
-    // first point where the curve reaches `low`, last where it is still at most `high`
-    let from = if y[0] >= low { x[0] } else { crossing(x, y, d, low, false) };
-    let to = if y[n - 1] <= high { x[n - 1] } else { crossing(x, y, d, high, true) };
+    // from where the upper one reaches v to where the lower one leaves it
+    let from = if high.0[0] >= v { x[0] } else { crossing(x, high.0, high.1, v, false) };
+    let to = if low.0[n - 1] <= v { x[n - 1] } else { crossing(x, low.0, low.1, v, true) };
     (from <= to).then_some((from, to))
 }
 
@@ -128,13 +129,15 @@ mod tests {
             assert!(v >= last - 1e-15);
             last = v;
         }
+        let shifted = |h: f64| y.map(|v| v + h);
         for level in [0.05, 0.3, 0.305, 1.0, 2.4] {
-            let (a, b) = preimage(&x, &y, &d, level, level + 0.01).unwrap();
-            assert!((at(&x, &y, &d, a) - level).abs() < 1e-9, "{level}");
+            // slopes do not change with a shift
+            let (a, b) = between(&x, (&shifted(-0.01), &d), (&shifted(0.01), &d), level).unwrap();
+            assert!((at(&x, &y, &d, a) - level + 0.01).abs() < 1e-9 || a == 1.0, "{level}");
             assert!((at(&x, &y, &d, b) - level - 0.01).abs() < 1e-9, "{level}");
         }
-        assert_eq!(preimage(&x, &y, &d, -1.0, 0.0), Some((1.0, 1.5)));
-        assert_eq!(preimage(&x, &y, &d, 2.6, 3.0), None);
+        assert_eq!(between(&x, (&y, &d), (&y, &d), 0.0), Some((1.0, 1.5)));
+        assert_eq!(between(&x, (&y, &d), (&y, &d), 2.6), None);
     }
 
     #[test]

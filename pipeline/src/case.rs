@@ -175,8 +175,8 @@ pub fn to_text(case: &Case) -> String {
     for f in Feature::ALL {
         if let (Some(v), Some(m)) = (d.features.get(f), case.maps.map(f)) {
             let (lo, hi) = m.range();
-            let at = d.outcome.area().map_or(m.zeta[0], |a| a.centroid.1);
-            let h = m.half_width(at);
+            let (f0, z0) = d.outcome.area().map_or((m.fsj[0], m.zeta[0]), |a| a.centroid);
+            let h = m.half_width(f0, z0);
             line(format!("{:9} {v:.6e} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}", f.name(), f.unit()));
         }
     }
@@ -189,5 +189,8 @@ pub fn to_text(case: &Case) -> String {
         h.rate_hz,
         h.rest_angle_rad.to_degrees()
     ));
+    for l in &h.left_out {
+        out += &format!("left out  {l}\n");
+    }
     out
 }

@@ -13,8 +13,9 @@ use sim_worker::monitor::MonitorTrack;
 /// Most curves of a map that are drawn.
 const CURVES: usize = 11;
 
-/// A map with its curves, and the band of a measured value if there is one.
-pub fn map_plot(map: &FailureMap, value: Option<f64>, zeta: Option<f64>) -> MapPlot {
+/// A map with its curves, and the band of a measured value if there is one, as wide as at the
+/// fault pair `at`.
+pub fn map_plot(map: &FailureMap, value: Option<f64>, at: Option<(f64, f64)>) -> MapPlot {
     let step = (map.zeta.len() - 1).div_ceil(CURVES - 1).max(1);
     let rows: Vec<usize> = (0..map.zeta.len()).step_by(step).collect();
     let (f0, f1) = (map.fsj[0], map.fsj[map.fsj.len() - 1]);
@@ -31,14 +32,14 @@ pub fn map_plot(map: &FailureMap, value: Option<f64>, zeta: Option<f64>) -> MapP
         .collect();
     let n = map.fsj.len();
     let knots = rows.iter().flat_map(|&r| (0..n).map(move |c| (map.fsj[c], map.raw[r * n + c]))).collect();
-    let at = zeta.unwrap_or(map.zeta[map.zeta.len() / 2]);
+    let (f, z) = at.unwrap_or((map.fsj[n / 2], map.zeta[map.zeta.len() / 2]));
     MapPlot {
         name: map.feature.name().to_uppercase(),
         title: map.feature.title().into(),
         unit: map.feature.unit().into(),
         curves,
         knots,
-        band: value.map(|value| Band { value, half_width: map.half_width(at) }),
+        band: value.map(|value| Band { value, half_width: map.half_width(f, z) }),
     }
 }
 

@@ -13,7 +13,7 @@ use schemas::fault::FaultState;
 
 /// Steps after which the rotation of the eccentricity vector is started anew from the angle.
 /// Counted from step 0 of the run, so that sampling has no influence.
-pub const RESYNC_STEPS: u64 = 128;
+pub const RESYNC_STEPS: u64 = 256;
 
 /// Terms that a call of the kernel contains; an absent term costs nothing.
 pub mod term {

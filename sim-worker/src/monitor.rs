@@ -10,30 +10,39 @@
 
 use crate::command::CommandTrack;
 use crate::parameters::ActuatorParameters;
-use crate::plant::backlash;
+use crate::control;
+use crate::plant::{backlash, end_stop};
 use schemas::sequence::TestSequence;
 
 /// Longest step of the model [s].
-pub const STEP_S: f64 = 50e-6;
+pub const STEP_S: f64 = 100e-6;
 
-/// The simplified model as a state machine.
+fn limit(x: f64, low: f64, high: f64) -> f64 {
+    control::limit::<false>(x, low, high)
+}
+
+/// The simplified model as a state machine; everything that does not change is worked out once.
 #[derive(Clone, Debug)]
 pub struct MonitorModel {
     dt: f64,
     gap: f64,
     w_max: f64,
+    /// `Kp / kt`
     kp_kt: f64,
     i_max: f64,
     t_max: f64,
     kt: f64,
-    r: f64,
-    l: f64,
-    vs: f64,
-    j: f64,
-    c: f64,
+    /// `J/dt`, `1/(J/dt + C)`, `1/(1 + (Kp/kt) kt/(J/dt + C))`
+    j_dt: f64,
+    inv_inertia: f64,
+    inv_loop: f64,
+    /// `(L/dt)/(L/dt + R)`, `kt/(L/dt + R)`, `Vs/(L/dt + R)`
+    keep: f64,
+    emf: f64,
+    reach: f64,
     fs: f64,
     fd: f64,
-    inv_n: f64,
+    n: f64,
     stop: f64,
     b: f64,
     /// motor current [A]
@@ -42,8 +51,8 @@ pub struct MonitorModel {
     pub w: f64,
     /// motor angle from rest [rad]
     pub th: f64,
-    /// user angle [rad]
-    pub th_u: f64,
+    /// user angle times the gear ratio [rad]
+    th_u: f64,
     /// motor torque [N m]
     pub torque: f64,
 }
@@ -52,24 +61,31 @@ impl MonitorModel {
     /// * `dt` step [s]
     pub fn new(p: &ActuatorParameters, dt: f64) -> Self {
         let kt = p.torque_constant_n_m_per_a();
+        let kp_kt = p.speed_proportional_n_m_s_per_rad / kt;
+        let j_dt = p.inertia_kg_m2 / dt;
+        let inv_inertia = 1.0 / (j_dt + p.viscous_n_m_s_per_rad);
+        // two phases in series
+        let l_dt = 2.0 * p.phase_inductance_h / dt;
+        let impedance = l_dt + 2.0 * p.phase_resistance_ohm;
         Self {
             dt,
-            gap: p.position_gain_per_s,
+            gap: p.position_gain_per_s / p.gear_ratio,
             w_max: p.speed_reference_limit_rad_per_s,
-            kp_kt: p.speed_proportional_n_m_s_per_rad / kt,
+            kp_kt,
             i_max: p.current_limit_a,
             t_max: p.torque_limit_n_m,
             kt,
-            r: 2.0 * p.phase_resistance_ohm,
-            l: 2.0 * p.phase_inductance_h,
-            vs: p.supply_voltage_v,
-            j: p.inertia_kg_m2,
-            c: p.viscous_n_m_s_per_rad,
+            j_dt,
+            inv_inertia,
+            inv_loop: 1.0 / (1.0 + kp_kt * kt * inv_inertia),
+            keep: l_dt / impedance,
+            emf: kt / impedance,
+            reach: p.supply_voltage_v / impedance,
             fs: p.static_friction_n_m,
             fd: p.static_friction_n_m * p.dynamic_friction_ratio,
-            inv_n: 1.0 / p.gear_ratio,
+            n: p.gear_ratio,
             stop: p.end_stop_rad * p.gear_ratio,
-            b: p.backlash_half_width_rad,
+            b: p.backlash_half_width_rad * p.gear_ratio,
             i: 0.0,
             w: 0.0,
             th: 0.0,
@@ -78,57 +94,46 @@ impl MonitorModel {
         }
     }
 
+    /// User angle [rad].
+    pub fn user_angle_rad(&self) -> f64 {
+        self.th_u / self.n
+    }
+
     /// One step under the command `com` [rad].
     #[inline]
     pub fn step(&mut self, com: f64) {
-        let dt = self.dt;
-        let w_ref = (self.gap * (com - self.th_u)).clamp(-self.w_max, self.w_max);
-        // speed at the step's end as a function of the current at the step's end, friction apart:
-        // (J/dt + C) w' = J/dt w + kt i'
-        let inertia = self.j / dt + self.c;
-        let momentum = self.j / dt * self.w;
-        // current at the step's end within reach of +-Vs (Eq. 9, 10, back-EMF of the step's start)
-        let impedance = self.l / dt + self.r;
-        let free = self.l / dt * self.i - self.kt * self.w;
-        let (i_lo, i_hi) = ((free - self.vs) / impedance, (free + self.vs) / impedance);
-        // reference at the step's end: i = Kp/kt (w_ref - w'), both unknown; friction as found below
-        let solve = |friction: f64| {
-            let i = self.kp_kt * (w_ref * inertia - momentum + friction) / (inertia + self.kp_kt * self.kt);
-            let i = i.clamp(-self.i_max, self.i_max);
-            let i = i.clamp(i_lo, i_hi);
-            let torque = (self.kt * i).clamp(-self.t_max, self.t_max);
-            (i, torque, (momentum + torque - friction) / inertia)
-        };
-        let (mut i, mut torque, mut w) = (0.0, 0.0, 0.0);
+        let w_ref = limit(self.gap * (com * self.n - self.th_u), -self.w_max, self.w_max);
+        // currents at the step's end within reach of +-Vs (Eq. 9, 10; back-EMF of the step's start)
+        let free = self.keep * self.i - self.emf * self.w;
+        let low = free - self.reach;
+        let high = free + self.reach;
+        let reachable = |i: f64| limit(limit(i, -self.i_max, self.i_max), low, high);
+        let saturated = |i: f64| limit(self.kt * i, -self.t_max, self.t_max);
         let direction = if self.w != 0.0 {
-            self.w.signum()
+            1f64.copysign(self.w)
         } else {
-            // the current that holds the standing rotor
-            let hold = (self.kp_kt * w_ref).clamp(-self.i_max, self.i_max).clamp(i_lo, i_hi);
-            torque = (self.kt * hold).clamp(-self.t_max, self.t_max);
-            i = hold;
-            if torque.abs() <= self.fs { 0.0 } else { torque.signum() }
+            // what the standing rotor feels
+            let torque = saturated(reachable(self.kp_kt * w_ref));
+            if torque.abs() <= self.fs { 0.0 } else { 1f64.copysign(torque) }
         };
+        let mut w = 0.0;
+        let mut i = 0.0;
         if direction != 0.0 {
-            (i, torque, w) = solve(self.fd * direction);
-            if w * direction < 0.0 {
-                // friction takes up the rest of the momentum and no more
-                w = 0.0;
-                i = (self.kp_kt * w_ref).clamp(-self.i_max, self.i_max).clamp(i_lo, i_hi);
-                torque = (self.kt * i).clamp(-self.t_max, self.t_max);
-            }
+            // (J/dt + C) w' = J/dt w + kt i' - FD sign, i' = Kp/kt (w_ref - w') where it is free
+            let driven = self.j_dt * self.w - self.fd * direction;
+            i = reachable(self.kp_kt * (w_ref - driven * self.inv_inertia) * self.inv_loop);
+            w = (driven + saturated(i)) * self.inv_inertia;
+        }
+        if direction == 0.0 || w * direction < 0.0 {
+            // friction holds the rotor: it takes up the rest of the momentum and no more
+            w = 0.0;
+            i = reachable(self.kp_kt * w_ref);
         }
         self.i = i;
-        self.torque = torque;
-        self.w = w;
-        self.th += w * dt;
-        if self.th.abs() > self.stop {
-            self.th = self.stop.copysign(self.th);
-            if self.w * self.th > 0.0 {
-                self.w = 0.0;
-            }
-        }
-        self.th_u = backlash::play::<false>(self.th_u, self.th * self.inv_n, self.b);
+        self.torque = saturated(i);
+        self.th += w * self.dt;
+        (self.th, self.w) = end_stop::stop(self.th, w, self.stop);
+        self.th_u = backlash::play::<false>(self.th_u, self.th, self.b);
     }
 }
 
@@ -165,7 +170,7 @@ impl MonitorTrack {
                 torque += m.torque;
             }
             out.com_rad.push(interval[steps - 1]);
-            out.theta_u_rad.push(m.th_u);
+            out.theta_u_rad.push(m.user_angle_rad());
             out.theta_m_rad.push(m.th);
             out.omega_rad_per_s.push(m.w);
             out.abs_current_a.push(abs / steps as f64);

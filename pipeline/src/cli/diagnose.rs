@@ -56,13 +56,13 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     }
     if let Some(dir) = &a.plot {
         let d = &case.diagnosis;
-        let zeta = d.outcome.area().map(|a| a.centroid.1);
+        let at = d.outcome.area().map(|a| a.centroid);
         let mut figures: Vec<(String, Figure)> = case
             .maps
             .maps
             .iter()
             .map(|m| {
-                let plot = report_pages::map_plot(m, d.features.get(m.feature), zeta);
+                let plot = report_pages::map_plot(m, d.features.get(m.feature), at);
                 (format!("map_{}", m.feature.name()), Figure::Map(plot))
             })
             .collect();

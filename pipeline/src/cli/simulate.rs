@@ -100,6 +100,9 @@ pub struct MapsArgs {
     /// Which of the dataset's rest angles [deg]
     #[arg(long, allow_negative_numbers = true)]
     rest_angle_deg: Option<f64>,
+    /// Leave out a feature whose surface is not monotone enough instead of refusing
+    #[arg(long)]
+    lenient: bool,
     /// Sequence of the dataset, if it is a TOML file of your own
     #[arg(long)]
     sequence: Option<String>,
@@ -118,7 +121,7 @@ pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
     };
     let sequence = sim_worker::datasets::sequence(&name)?;
     let rest = a.rest_angle_deg.map(f64::to_radians);
-    let set = crate::maps::build(&a.dataset, &sequence, &actuator, false, rest)?;
+    let set = crate::maps::build(&a.dataset, &sequence, &actuator, false, rest, a.lenient)?;
     let out = a.out.clone().unwrap_or_else(|| a.dataset.join("maps.parquet"));
     set.save(&out)?;
     for m in &set.maps {
@@ -133,6 +136,9 @@ pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
             b.interpolation,
             b.sample
         ));
+    }
+    for l in &set.header.left_out {
+        say(&format!("left out {l}"));
     }
     say(&format!("saved {}", out.display()));
     Ok(ExitCode::SUCCESS)
