@@ -41,11 +41,19 @@ pub struct Area {
 pub enum Outcome {
     Located(Area),
     /// The bands have no pair in common; these maps contradict each other.
-    Unexplained { contradicting: Vec<Feature>, reason: String },
+    Unexplained {
+        contradicting: Vec<Feature>,
+        reason: String,
+    },
     /// The faults lie beyond the maps; the reason says on which side.
-    OutOfRange { reason: String },
+    OutOfRange {
+        reason: String,
+    },
     /// Something is missing; the area that the rest allows, if there is one.
-    Incomplete { reason: String, area: Option<Area> },
+    Incomplete {
+        reason: String,
+        area: Option<Area>,
+    },
 }
 
 /// A diagnosis: outcome and the features it stands on.
@@ -144,8 +152,16 @@ impl Cut<'_> {
             }
             (a, b)
         };
-        let low = if lo == 0 { lines[0].0 } else { bisect(lines[lo - 1].0, lines[lo].0, &|s| s > 0).0 };
-        let high = if hi + 1 >= lines.len() { last } else { bisect(lines[hi].0, lines[hi + 1].0, &|s| s >= 0).1 };
+        let low = if lo == 0 {
+            lines[0].0
+        } else {
+            bisect(lines[lo - 1].0, lines[lo].0, &|s| s > 0).0
+        };
+        let high = if hi + 1 >= lines.len() {
+            last
+        } else {
+            bisect(lines[hi].0, lines[hi + 1].0, &|s| s >= 0).1
+        };
         (low <= high).then_some(Interval { lo: low, hi: high })
     }
 }
@@ -168,12 +184,23 @@ fn common(cuts: &[Cut<'_>], zeta: f64) -> (f64, Option<Interval>) {
 
 /// The area that the cuts have in common, if any.
 fn intersect(cuts: &[Cut<'_>]) -> Option<Area> {
-    let mut range = Interval { lo: f64::NEG_INFINITY, hi: f64::INFINITY };
+    let mut range = Interval {
+        lo: f64::NEG_INFINITY,
+        hi: f64::INFINITY,
+    };
     for c in cuts {
         range = range.meet(c.zetas()?)?;
     }
-    let at = |k: usize, n: usize, r: Interval| if n == 0 { r.lo } else { r.lo + r.width() * k as f64 / n as f64 };
-    let gaps: Vec<f64> = (0..=SEARCH_LINES).map(|k| common(cuts, at(k, SEARCH_LINES, range)).0).collect();
+    let at = |k: usize, n: usize, r: Interval| {
+        if n == 0 {
+            r.lo
+        } else {
+            r.lo + r.width() * k as f64 / n as f64
+        }
+    };
+    let gaps: Vec<f64> = (0..=SEARCH_LINES)
+        .map(|k| common(cuts, at(k, SEARCH_LINES, range)).0)
+        .collect();
     let best = (0..gaps.len()).min_by(|&a, &b| gaps[a].total_cmp(&gaps[b]))?;
     let step = range.width() / SEARCH_LINES as f64;
     let inside = |z: f64| common(cuts, z).0 <= 0.0;
@@ -184,7 +211,11 @@ fn intersect(cuts: &[Cut<'_>]) -> Option<Area> {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         for _ in 0..60 {
             let (c, d) = (b - GOLDEN * (b - a), a + GOLDEN * (b - a));
-            if common(cuts, c).0 < common(cuts, d).0 { b = d } else { a = c }
+            if common(cuts, c).0 < common(cuts, d).0 {
+                b = d
+            } else {
+                a = c
+            }
         }
         seed = 0.5 * (a + b);
         if !inside(seed) {
@@ -192,8 +223,11 @@ fn intersect(cuts: &[Cut<'_>]) -> Option<Area> {
         }
     }
     // ends of the area: the outermost lines inside, then bisection towards the next ones
-    let hit: Vec<f64> =
-        (0..gaps.len()).filter(|&k| gaps[k] <= 0.0).map(|k| at(k, SEARCH_LINES, range)).chain([seed]).collect();
+    let hit: Vec<f64> = (0..gaps.len())
+        .filter(|&k| gaps[k] <= 0.0)
+        .map(|k| at(k, SEARCH_LINES, range))
+        .chain([seed])
+        .collect();
     let (first, last) = hit.iter().fold((f64::MAX, f64::MIN), |(a, b), &z| (a.min(z), b.max(z)));
     let end = |from: f64, to: f64| {
         let (mut a, mut b) = (from, to);
@@ -206,7 +240,10 @@ fn intersect(cuts: &[Cut<'_>]) -> Option<Area> {
         }
         a
     };
-    let zeta = Interval { lo: end(first, (first - step).max(range.lo)), hi: end(last, (last + step).min(range.hi)) };
+    let zeta = Interval {
+        lo: end(first, (first - step).max(range.lo)),
+        hi: end(last, (last + step).min(range.hi)),
+    };
     let strips: Vec<Strip> = (0..=AREA_LINES)
         .map(|k| at(k, AREA_LINES, zeta))
         .filter_map(|zeta| common(cuts, zeta).1.map(|fsj| Strip { zeta, fsj }))
@@ -228,13 +265,21 @@ fn intersect(cuts: &[Cut<'_>]) -> Option<Area> {
     } else {
         (0.5 * (fsj.lo + fsj.hi), 0.5 * (zeta.lo + zeta.hi))
     };
-    Some(Area { strips, fsj, zeta, centroid, size })
+    Some(Area {
+        strips,
+        fsj,
+        zeta,
+        centroid,
+        size,
+    })
 }
 
 /// Region of one map alone on `lines` lines of zeta, for drawings.
 pub fn region(map: &FailureMap, value: f64, zetas: impl Iterator<Item = f64>) -> Vec<Strip> {
     let cut = Cut { map, value };
-    zetas.filter_map(|zeta| cut.interval(zeta).map(|fsj| Strip { zeta, fsj })).collect()
+    zetas
+        .filter_map(|zeta| cut.interval(zeta).map(|fsj| Strip { zeta, fsj }))
+        .collect()
 }
 
 /// The paper's algorithm on all maps of a set.
@@ -243,9 +288,15 @@ pub fn region(map: &FailureMap, value: f64, zetas: impl Iterator<Item = f64>) ->
 /// * `missing` what the telemetry lacks, in words; empty if nothing
 pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) -> Diagnosis {
     let measured = |m: &FailureMap| features.get(m.feature).filter(|v| v.is_finite());
-    let cuts: Vec<Cut<'_>> =
-        set.maps.iter().filter_map(|map| measured(map).map(|value| Cut { map, value })).collect();
-    let done = |outcome| Diagnosis { outcome, features: *features };
+    let cuts: Vec<Cut<'_>> = set
+        .maps
+        .iter()
+        .filter_map(|map| measured(map).map(|value| Cut { map, value }))
+        .collect();
+    let done = |outcome| Diagnosis {
+        outcome,
+        features: *features,
+    };
     let mut lacking: Vec<String> = missing.to_vec();
     for m in &set.maps {
         if let Some(v) = features.get(m.feature).filter(|v| !v.is_finite()) {
@@ -254,11 +305,18 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
     }
     if cuts.len() < set.maps.len() || !lacking.is_empty() {
         if lacking.is_empty() {
-            let absent = set.maps.iter().filter(|m| measured(m).is_none()).map(|m| m.feature.name());
+            let absent = set
+                .maps
+                .iter()
+                .filter(|m| measured(m).is_none())
+                .map(|m| m.feature.name());
             lacking.push(format!("no value of {}", absent.collect::<Vec<_>>().join(", ")));
         }
         let area = if cuts.len() >= 2 { intersect(&cuts) } else { None };
-        return done(Outcome::Incomplete { reason: lacking.join("; "), area });
+        return done(Outcome::Incomplete {
+            reason: lacking.join("; "),
+            area,
+        });
     }
     if cuts.len() < 2 {
         let reason = format!("{} map(s); a diagnosis needs at least two", cuts.len());
@@ -270,9 +328,21 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
         .filter_map(|c| {
             let (lo, hi) = c.map.range();
             let m = c.map;
-            let h = m.half_width(m.fsj[0], m.zeta[0]).max(m.half_width(m.fsj[m.fsj.len() - 1], m.zeta[m.zeta.len() - 1]));
+            let (f, z) = (
+                [m.fsj[0], m.fsj[m.fsj.len() - 1]],
+                [m.zeta[0], m.zeta[m.zeta.len() - 1]],
+            );
+            let h = f
+                .iter()
+                .flat_map(|f| z.iter().map(|z| m.half_width(*f, *z)))
+                .fold(0.0_f64, f64::max);
             let text = |side: &str, end: f64| {
-                format!("{} = {:.5e} {} is {side} the map's end {end:.5e}", c.map.feature.name(), c.value, c.map.feature.unit())
+                format!(
+                    "{} = {:.5e} {} is {side} the map's end {end:.5e}",
+                    c.map.feature.name(),
+                    c.value,
+                    c.map.feature.unit()
+                )
             };
             if c.value - h > hi {
                 Some(text("above", hi))
@@ -288,7 +358,11 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
     }
     // would the maps meet if they went on?
     let wide: Vec<FailureMap> = cuts.iter().map(|c| c.map.extended(0.25)).collect();
-    let wide_cuts: Vec<Cut<'_>> = wide.iter().zip(&cuts).map(|(map, c)| Cut { map, value: c.value }).collect();
+    let wide_cuts: Vec<Cut<'_>> = wide
+        .iter()
+        .zip(&cuts)
+        .map(|(map, c)| Cut { map, value: c.value })
+        .collect();
     if let Some(area) = intersect(&wide_cuts) {
         let map = cuts[0].map;
         let mut sides = Vec::new();
@@ -304,11 +378,15 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
             sides.push(format!("zeta above {z1} (about {:.3})", area.centroid.1));
         }
         if !sides.is_empty() {
-            return done(Outcome::OutOfRange { reason: sides.join(", ") });
+            return done(Outcome::OutOfRange {
+                reason: sides.join(", "),
+            });
         }
     }
     if !beyond.is_empty() {
-        return done(Outcome::OutOfRange { reason: beyond.join("; ") });
+        return done(Outcome::OutOfRange {
+            reason: beyond.join("; "),
+        });
     }
     let (contradicting, reason) = contradiction(cuts);
     done(Outcome::Unexplained { contradicting, reason })
@@ -320,14 +398,23 @@ fn contradiction(cuts: Vec<Cut<'_>>) -> (Vec<Feature>, String) {
     let name = |f: Feature| f.name();
     let without = |skip: usize| -> Vec<Cut<'_>> {
         let rest = cuts.iter().enumerate().filter(|&(i, _)| i != skip);
-        rest.map(|(_, c)| Cut { map: c.map, value: c.value }).collect()
+        rest.map(|(_, c)| Cut {
+            map: c.map,
+            value: c.value,
+        })
+        .collect()
     };
     if cuts.len() > 2 {
-        let odd: Vec<Feature> =
-            (0..cuts.len()).filter(|&i| intersect(&without(i)).is_some()).map(|i| cuts[i].map.feature).collect();
+        let odd: Vec<Feature> = (0..cuts.len())
+            .filter(|&i| intersect(&without(i)).is_some())
+            .map(|i| cuts[i].map.feature)
+            .collect();
         if !odd.is_empty() {
             let names: Vec<&str> = odd.iter().map(|&f| name(f)).collect();
-            let reason = format!("no fault pair fits all maps; without {} the others agree", names.join(" or without "));
+            let reason = format!(
+                "no fault pair fits all maps; without {} the others agree",
+                names.join(" or without ")
+            );
             return (odd, reason);
         }
     }
@@ -335,7 +422,10 @@ fn contradiction(cuts: Vec<Cut<'_>>) -> (Vec<Feature>, String) {
     let mut pairs = Vec::new();
     for i in 0..cuts.len() {
         for j in i + 1..cuts.len() {
-            let pair = [i, j].map(|k| Cut { map: cuts[k].map, value: cuts[k].value });
+            let pair = [i, j].map(|k| Cut {
+                map: cuts[k].map,
+                value: cuts[k].value,
+            });
             if intersect(&pair).is_none() {
                 let (a, b) = (cuts[i].map.feature, cuts[j].map.feature);
                 pairs.push(format!("{} and {}", name(a), name(b)));
@@ -349,5 +439,11 @@ fn contradiction(cuts: Vec<Cut<'_>>) -> (Vec<Feature>, String) {
         involved = cuts.iter().map(|c| c.map.feature).collect();
         pairs.push("any three of them".into());
     }
-    (involved, format!("no fault pair fits all maps; nothing in common have {}", pairs.join("; ")))
+    (
+        involved,
+        format!(
+            "no fault pair fits all maps; nothing in common have {}",
+            pairs.join("; ")
+        ),
+    )
 }

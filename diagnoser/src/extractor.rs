@@ -31,7 +31,10 @@ impl Window {
     /// Samples whose intervals lie in `start..end` [s].
     fn of(start_s: f64, end_s: f64, rate_hz: f64) -> Self {
         let from = (start_s * rate_hz - 1e-6).ceil() as u64 + 1;
-        Self { from, to: (end_s * rate_hz + 1e-6).floor() as u64 }
+        Self {
+            from,
+            to: (end_s * rate_hz + 1e-6).floor() as u64,
+        }
     }
 
     pub fn len(self) -> u64 {
@@ -82,10 +85,13 @@ impl FeaturePlan {
         let regime = window(|c| matches!(c, Command::Step { .. }), REGIME_S.0, REGIME_S.1);
         let sine = window(|c| matches!(c, Command::Sine { .. }), 0.0, f64::INFINITY);
         let ramp = window(|c| matches!(c, Command::Ramp { .. }), 0.0, f64::INFINITY);
-        let step_rad = sequence
-            .segments
-            .iter()
-            .find_map(|s| if let Command::Step { height_rad } = s.command { Some(height_rad) } else { None });
+        let step_rad = sequence.segments.iter().find_map(|s| {
+            if let Command::Step { height_rad } = s.command {
+                Some(height_rad)
+            } else {
+                None
+            }
+        });
         let monitor_a = sine.map_or(Vec::new(), |w| {
             let track = MonitorTrack::run(actuator, sequence, rate_hz);
             track.abs_current_a[w.from as usize - 1..w.to as usize].to_vec()
@@ -107,7 +113,11 @@ impl FeaturePlan {
     /// Whether any of the samples `first..first + rows` matters to a feature.
     pub fn needs(&self, first: u64, rows: usize) -> bool {
         let last = first + rows as u64 - 1;
-        first == 1 || [self.regime, self.sine, self.ramp].iter().flatten().any(|w| w.from <= last && first <= w.to)
+        first == 1
+            || [self.regime, self.sine, self.ramp]
+                .iter()
+                .flatten()
+                .any(|w| w.from <= last && first <= w.to)
     }
 }
 
@@ -187,8 +197,10 @@ impl FeatureExtractor {
             let monitor = &self.plan.monitor_a[from.min(self.plan.monitor_a.len())..];
             let phases = [Channel::IA, Channel::IB, Channel::IC].map(|c| view.column(c));
             if let ([Some(a), Some(b), Some(c)], false) = (phases, self.plan.equivalent_current) {
-                for ((a, b), (c, m)) in
-                    a[rows.clone()].iter().zip(&b[rows.clone()]).zip(c[rows.clone()].iter().zip(monitor))
+                for ((a, b), (c, m)) in a[rows.clone()]
+                    .iter()
+                    .zip(&b[rows.clone()])
+                    .zip(c[rows.clone()].iter().zip(monitor))
                 {
                     let d = 0.5 * (a.abs() + b.abs() + c.abs()) - m;
                     self.sine_sum2 += d * d;
@@ -266,7 +278,12 @@ impl FeatureExtractor {
 impl TelemetrySink for FeatureExtractor {
     fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> Result<()> {
         if header.sequence != self.plan.sequence {
-            return Err(Error::bad("telemetry", "sequence", &header.sequence, &self.plan.sequence));
+            return Err(Error::bad(
+                "telemetry",
+                "sequence",
+                &header.sequence,
+                &self.plan.sequence,
+            ));
         }
         self.push(view);
         Ok(())

@@ -18,8 +18,8 @@ use std::sync::Arc;
 /// comes in whole samples; its limit is one sample if that is more.
 const BREAK_LIMIT: f64 = 0.03;
 
-/// Sensor noise enters the half-width with this many standard deviations: with four maps each
-/// side of each band then misses with 0.3 %, and all four hold together in 97.6 % or more.
+/// Sensor noise enters the half-width with this many standard deviations: a band then misses with
+/// 0.27 %, and four independent ones hold together in 98.9 %.
 const SIGMAS: f64 = 3.0;
 
 /// Leave-one-out doubles the spacing. What is left of its error at the grid's own spacing is
@@ -97,13 +97,25 @@ impl FailureMap {
         sample: f64,
     ) -> Result<Self> {
         let columns = fsj.len();
-        let point = |i: usize| format!("{} at (FSJ {}, zeta {})", feature.name(), fsj[i % columns], zeta[i / columns]);
+        let point = |i: usize| {
+            format!(
+                "{} at (FSJ {}, zeta {})",
+                feature.name(),
+                fsj[i % columns],
+                zeta[i / columns]
+            )
+        };
         if columns < 2 || zeta.len() < 2 {
             let found = format!("{} x {} points", columns, zeta.len());
             return Err(Error::bad(file, "grid", found, "at least 2 x 2 points"));
         }
         if let Some(i) = raw.iter().position(|v| !v.is_finite()) {
-            return Err(Error::bad(file, point(i), raw[i], "a finite number at every grid point"));
+            return Err(Error::bad(
+                file,
+                point(i),
+                raw[i],
+                "a finite number at every grid point",
+            ));
         }
         let direction = feature.direction();
         let value = monotone_surface(&raw, zeta.len(), columns, direction);
@@ -116,7 +128,16 @@ impl FailureMap {
         if !broken.is_empty() {
             let (n, shown) = (broken.len(), broken[..broken.len().min(4)].join("; "));
             let allowed = format!("a monotone surface within {limit:.3e} {}", feature.unit());
-            return Err(Error::bad(file, format!("{n} grid points"), shown, allowed));
+            return Err(Error::bad(
+                file,
+                if n == 1 {
+                    "1 grid point".to_string()
+                } else {
+                    format!("{n} grid points")
+                },
+                shown,
+                allowed,
+            ));
         }
         let residual: Vec<f64> = raw.iter().zip(&value).map(|(a, b)| (a - b).abs()).collect();
         let mut map = Self {
@@ -126,7 +147,11 @@ impl FailureMap {
             zeta: zeta.into(),
             raw,
             value,
-            budget: BandBudget { noise, interpolation: 0.0, sample },
+            budget: BandBudget {
+                noise,
+                interpolation: 0.0,
+                sample,
+            },
             margin: residual.clone(),
             residual,
             slope: Vec::new(),
@@ -136,13 +161,25 @@ impl FailureMap {
         let most = |v: &[f64]| {
             let mut v: Vec<f64> = v.iter().copied().filter(|e| *e > 0.0).collect();
             v.sort_by(f64::total_cmp);
-            if v.is_empty() { 0.0 } else { v[((v.len() - 1) as f64 * 0.95).round() as usize] }
+            if v.is_empty() {
+                0.0
+            } else {
+                v[((v.len() - 1) as f64 * 0.95).round() as usize]
+            }
         };
         let (typical, coarse) = (most(&left_out), most(&map.leave_one_out(2)));
-        let share = if coarse > 0.0 { (typical / coarse).clamp(SMOOTH_SHARE, 1.0) } else { 1.0 };
+        let share = if coarse > 0.0 {
+            (typical / coarse).clamp(SMOOTH_SHARE, 1.0)
+        } else {
+            1.0
+        };
         map.budget.interpolation = share * typical;
         let rows = map.zeta.len();
-        for (i, &e) in left_out.iter().enumerate().filter(|(_, e)| **e > STEP_RATIO * typical && **e > sample) {
+        for (i, &e) in left_out
+            .iter()
+            .enumerate()
+            .filter(|(_, e)| **e > STEP_RATIO * typical && **e > sample)
+        {
             // the step lies somewhere in the cells around the point
             let (r, c) = (i / columns, i % columns);
             for r in r.saturating_sub(1)..=(r + 1).min(rows - 1) {
@@ -249,7 +286,10 @@ impl FailureMap {
         let (r, c) = (monotone::piece(&self.zeta, zeta), monotone::piece(&self.fsj, fsj));
         let columns = self.fsj.len();
         let corners = [(r, c), (r, c + 1), (r + 1, c), (r + 1, c + 1)];
-        self.base() + corners.iter().fold(0.0_f64, |m, (r, c)| m.max(self.margin[r * columns + c]))
+        self.base()
+            + corners
+                .iter()
+                .fold(0.0_f64, |m, (r, c)| m.max(self.margin[r * columns + c]))
     }
 
     /// The curve at `zeta` with its band, the margins of both neighbouring rows taken in.
@@ -272,12 +312,17 @@ impl FailureMap {
             monotone::slopes(&self.fsj, &y, &mut d);
             Curve { y, d }
         };
-        BandCurve { low: curve(low), high: curve(high) }
+        BandCurve {
+            low: curve(low),
+            high: curve(high),
+        }
     }
 
     /// Smallest and largest value.
     pub fn range(&self) -> (f64, f64) {
-        self.value.iter().fold((f64::MAX, f64::MIN), |(a, b), &v| (a.min(v), b.max(v)))
+        self.value
+            .iter()
+            .fold((f64::MAX, f64::MIN), |(a, b), &v| (a.min(v), b.max(v)))
     }
 
     /// A map that goes on straight beyond both ends of FSJ and the upper end of zeta by the share
@@ -292,7 +337,13 @@ impl FailureMap {
         for row in self.value.chunks(nf) {
             value.push(line(fsj[1], row[1], fsj[0], row[0], low));
             value.extend_from_slice(row);
-            value.push(line(fsj[nf - 2], row[nf - 2], fsj[nf - 1], row[nf - 1], fsj[nf - 1] + df));
+            value.push(line(
+                fsj[nf - 2],
+                row[nf - 2],
+                fsj[nf - 1],
+                row[nf - 1],
+                fsj[nf - 1] + df,
+            ));
         }
         let high = fsj[nf - 1] + df;
         fsj.insert(0, low);
@@ -307,8 +358,10 @@ impl FailureMap {
         value.extend(above);
         zeta.push(zeta[nz - 1] + dz);
         let wider = |v: &[f64]| -> Vec<f64> {
-            let mut w: Vec<f64> =
-                v.chunks(nf).flat_map(|row| [&row[..1], row, &row[nf - 1..]].concat()).collect();
+            let mut w: Vec<f64> = v
+                .chunks(nf)
+                .flat_map(|row| [&row[..1], row, &row[nf - 1..]].concat())
+                .collect();
             let last = w[(nz - 1) * n..].to_vec();
             w.extend(last);
             w
@@ -343,6 +396,10 @@ pub struct MapSetHeader {
     /// P2 from i_eq because the telemetry has no phase currents
     pub equivalent_current: bool,
     pub grid: String,
+    /// constant load torque of the runs [N m, motor side]
+    pub load_n_m: f64,
+    pub step_s: f64,
+    pub seed: u64,
     pub commit: String,
     /// features whose surface is not monotone enough for a map, and why
     #[serde(default)]
@@ -406,15 +463,22 @@ impl FailureMapSet {
             grid: h.grid.clone(),
             sensors: h.sensors.clone(),
             rate_hz: h.rate_hz,
+            step_s: h.step_s,
+            seed: h.seed,
+            load_n_m: h.load_n_m,
+            effects: String::new(),
             commit: h.commit.clone(),
             model: "ntb".into(),
-            ..Default::default()
         };
         let n = &self.nominal;
         let stored = Stored {
             header: h.clone(),
             nominal: [n.mean_speed_rad_per_s, n.ripple_rad_per_s, n.p2_a, n.p3_rad],
-            budgets: self.maps.iter().map(|m| (m.feature.name().to_string(), m.budget.clone())).collect(),
+            budgets: self
+                .maps
+                .iter()
+                .map(|m| (m.feature.name().to_string(), m.budget.clone()))
+                .collect(),
         };
         let mut pairs = provenance.pairs();
         pairs.push(("ema.maps".into(), serde_json::to_string(&stored).expect("plain data")));
@@ -441,21 +505,41 @@ impl FailureMapSet {
         let stored: Stored = serde_json::from_str(text).map_err(|e| Error::torn(path, e))?;
         let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
         let input = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-        let reader = ParquetRecordBatchReaderBuilder::try_new(input).map_err(|e| torn(&e))?.build().map_err(|e| torn(&e))?;
+        let reader = ParquetRecordBatchReaderBuilder::try_new(input)
+            .map_err(|e| torn(&e))?
+            .build()
+            .map_err(|e| torn(&e))?;
         let mut rows: BTreeMap<Feature, Vec<[f64; 4]>> = BTreeMap::new();
         for batch in reader {
             let batch = batch.map_err(|e| torn(&e))?;
-            let missing = |n: &str| Error::bad(&file, "columns", format!("no `{n}` of its type"), "those of schemas/README.md");
+            let missing = |n: &str| {
+                Error::bad(
+                    &file,
+                    "columns",
+                    format!("no `{n}` of its type"),
+                    "those of schemas/README.md",
+                )
+            };
             let numbers = |n: &str| {
-                batch.column_by_name(n).and_then(|c| c.as_primitive_opt::<Float64Type>()).ok_or_else(|| missing(n))
+                batch
+                    .column_by_name(n)
+                    .and_then(|c| c.as_primitive_opt::<Float64Type>())
+                    .ok_or_else(|| missing(n))
             };
             let names = batch.column_by_name("feature").and_then(|c| c.as_string_opt::<i32>());
             let names = names.ok_or_else(|| missing("feature"))?;
-            let (f, z, v, r) = (numbers("fsj")?, numbers("zeta")?, numbers("value")?, numbers("raw_value")?);
+            let (f, z, v, r) = (
+                numbers("fsj")?,
+                numbers("zeta")?,
+                numbers("value")?,
+                numbers("raw_value")?,
+            );
             for i in 0..batch.num_rows() {
                 let feature = Feature::from_name(names.value(i))
                     .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), "p1, p2, p3, ripple"))?;
-                rows.entry(feature).or_default().push([f.value(i), z.value(i), v.value(i), r.value(i)]);
+                rows.entry(feature)
+                    .or_default()
+                    .push([f.value(i), z.value(i), v.value(i), r.value(i)]);
             }
         }
         let mut maps = Vec::new();
@@ -470,7 +554,10 @@ impl FailureMapSet {
             let whole = rows.len() == fsj.len() * zeta.len()
                 && fsj.len() >= 2
                 && zeta.len() >= 2
-                && rows.iter().enumerate().all(|(i, r)| r[0] == fsj[i % fsj.len()] && r[1] == zeta[i / fsj.len()]);
+                && rows
+                    .iter()
+                    .enumerate()
+                    .all(|(i, r)| r[0] == fsj[i % fsj.len()] && r[1] == zeta[i / fsj.len()]);
             if !whole {
                 let found = format!("{} rows", rows.len());
                 let allowed = format!("every point of the {} x {} grid once, in order", fsj.len(), zeta.len());
@@ -488,7 +575,17 @@ impl FailureMapSet {
         }
         let [mean_speed_rad_per_s, ripple_rad_per_s, p2_a, p3_rad] = stored.nominal;
         let rest_angle_rad = Some(stored.header.rest_angle_rad);
-        let nominal = RawFeatures { mean_speed_rad_per_s, ripple_rad_per_s, p2_a, p3_rad, rest_angle_rad };
-        Ok(Self { header: stored.header, nominal, maps })
+        let nominal = RawFeatures {
+            mean_speed_rad_per_s,
+            ripple_rad_per_s,
+            p2_a,
+            p3_rad,
+            rest_angle_rad,
+        };
+        Ok(Self {
+            header: stored.header,
+            nominal,
+            maps,
+        })
     }
 }

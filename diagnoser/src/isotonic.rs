@@ -11,7 +11,10 @@ fn rising(v: &mut [f64]) {
                 break;
             }
             blocks.pop();
-            block = ((m * n as f64 + block.0 * block.1 as f64) / (n + block.1) as f64, n + block.1);
+            block = (
+                (m * n as f64 + block.0 * block.1 as f64) / (n + block.1) as f64,
+                n + block.1,
+            );
         }
         blocks.push(block);
     }
@@ -83,7 +86,9 @@ mod tests {
     #[test]
     fn prop_surface_is_monotone_and_nearest_on_monotone_data() {
         let (rows, columns) = (4, 5);
-        let z: Vec<f64> = (0..20).map(|i| (i % columns) as f64 + 2.0 * (i / columns) as f64).collect();
+        let z: Vec<f64> = (0..20)
+            .map(|i| (i % columns) as f64 + 2.0 * (i / columns) as f64)
+            .collect();
         assert_eq!(monotone_surface(&z, rows, columns, (1.0, 1.0)), z);
         let mut bad = z.clone();
         bad[7] -= 1.5;

@@ -46,7 +46,7 @@ pub fn extract(m: &Measured, plan: Arc<FeaturePlan>) -> FeatureExtractor {
     x
 }
 
-fn sensors_of(m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> {
+fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> {
     if settings.sensors != "auto" {
         return Ok(sim_worker::datasets::sensors(&settings.sensors)?);
     }
@@ -54,28 +54,49 @@ fn sensors_of(m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> 
     if m.sensors == "none" {
         return Ok(None);
     }
-    Ok(reference.filter(|r| r.fingerprint() == m.sensors || input::is_quantised(m, r)))
+    if !m.sensors.is_empty() && reference.as_ref().is_none_or(|r| r.fingerprint() != m.sensors) {
+        let allowed = "none or those of the reference; name others with --sensors FILE.toml";
+        return Err(Error::bad(
+            path.display().to_string(),
+            "fingerprint of the sensors",
+            &m.sensors,
+            allowed,
+        )
+        .into());
+    }
+    Ok(reference.filter(|r| !m.sensors.is_empty() || input::is_quantised(m, r)))
 }
 
 fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence, rest: f64) -> Result<FailureMapSet> {
-    let equivalent_current =
-        [Channel::IA, Channel::IB, Channel::IC].iter().any(|c| m.telemetry.column(*c).is_none());
+    let equivalent_current = [Channel::IA, Channel::IB, Channel::IC]
+        .iter()
+        .any(|c| m.telemetry.column(*c).is_none());
     let Some(dir) = &s.maps else {
         return maps::cached(&MapRequest {
             actuator: s.actuator.clone(),
             sequence: sequence.clone(),
             rate_hz: m.rate_hz,
-            sensors: sensors_of(m, s)?,
+            sensors: sensors_of(path, m, s)?,
             rest_angle_rad: maps::rounded_rest_angle(rest),
             equivalent_current,
             grid: s.grid.clone(),
         });
     };
-    let file = if dir.is_dir() { dir.join("maps.parquet") } else { dir.clone() };
+    let file = if dir.is_dir() {
+        dir.join("maps.parquet")
+    } else {
+        dir.clone()
+    };
     let set = FailureMapSet::load(&file)?;
     let h = &set.header;
     let bad = |place: &str, found: String, allowed: String| -> anyhow::Error {
-        Error::bad(path.display().to_string(), place, found, format!("{allowed} (of {})", file.display())).into()
+        Error::bad(
+            path.display().to_string(),
+            place,
+            found,
+            format!("{allowed} (of {})", file.display()),
+        )
+        .into()
     };
     if !m.parameters.is_empty() && m.parameters != h.parameters {
         return Err(bad("parameter fingerprint", m.parameters.clone(), h.parameters.clone()));
@@ -93,13 +114,23 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
     let d = (rest - h.rest_angle_rad + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
     if d.abs() > maps::REST_ANGLE_STEP_RAD {
         let deg = |a: f64| format!("{:.2}", a.to_degrees());
-        return Err(bad("rotor angle at rest [deg]", deg(rest), format!("{} +- 0.1", deg(h.rest_angle_rad))));
+        return Err(bad(
+            "rotor angle at rest [deg]",
+            deg(rest),
+            format!("{} +- 0.1", deg(h.rest_angle_rad)),
+        ));
     }
     if equivalent_current != h.equivalent_current {
-        let what = |e: bool| if e { "i_eq only".to_string() } else { "phase currents".to_string() };
+        let what = |e: bool| {
+            if e {
+                "i_eq only".to_string()
+            } else {
+                "phase currents".to_string()
+            }
+        };
         return Err(bad("currents", what(equivalent_current), what(h.equivalent_current)));
     }
-    let sensors = sensors_of(m, s)?.map_or("none".to_string(), |x| x.fingerprint());
+    let sensors = sensors_of(path, m, s)?.map_or("none".to_string(), |x| x.fingerprint());
     if sensors != h.sensors {
         return Err(bad("sensors", sensors, h.sensors.clone()));
     }
@@ -109,6 +140,10 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
 /// Diagnoses a telemetry file.
 pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
     let measured = input::open(path, settings.run)?;
+    if measured.rate_hz < input::LOWEST_RATE_HZ * (1.0 - 1e-6) {
+        let allowed = format!("a steady rate of at least {} Hz", input::LOWEST_RATE_HZ);
+        return Err(Error::bad(path.display().to_string(), "rate [Hz]", measured.rate_hz, allowed).into());
+    }
     let a = &settings.actuator;
     if settings.maps.is_none() && !measured.parameters.is_empty() && measured.parameters != a.fingerprint() {
         let allowed = format!("{} (actuator `{}`; choose with --actuator)", a.fingerprint(), a.name);
@@ -116,13 +151,43 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         return Err(Error::bad(file, "parameter fingerprint", &measured.parameters, allowed).into());
     }
     let sequence = input::recognise(path, &measured, settings.sequence.as_deref(), a.step_s)?;
-    let first = measured.telemetry.column(Channel::ThetaM).map_or(0.0, |t| t[0]);
-    let maps = chosen_maps(path, &measured, settings, &sequence, first.rem_euclid(std::f64::consts::TAU))?;
+    // the rotor angle at rest is that of the first sample of the test, if it is there
+    let begins = measured.telemetry.first == 1;
+    let first = measured
+        .telemetry
+        .column(Channel::ThetaM)
+        .filter(|_| begins)
+        .map_or(0.0, |t| t[0]);
+    let maps = chosen_maps(
+        path,
+        &measured,
+        settings,
+        &sequence,
+        first.rem_euclid(std::f64::consts::TAU),
+    )?;
+    let load = measured.load_n_m.unwrap_or(maps.header.load_n_m);
+    if load != maps.header.load_n_m {
+        let allowed = format!("{} (of the maps; --maps chooses others)", maps.header.load_n_m);
+        return Err(Error::bad(path.display().to_string(), "load torque [N m]", load, allowed).into());
+    }
     let plan = FeaturePlan::new(a, &sequence, measured.rate_hz, maps.header.equivalent_current);
     let x = extract(&measured, Arc::new(plan));
     let raw = x.features();
-    let diagnosis = diagnose(&maps, &maps.features(&raw), &x.missing());
-    Ok(Case { measured, raw, diagnosis, maps })
+    let mut diagnosis = diagnose(&maps, &maps.features(&raw), &x.missing());
+    if !begins {
+        let n = measured.telemetry.first;
+        let mut reason = format!("the recording starts at sample {n}: the rotor angle at rest is unknown");
+        for m in x.missing() {
+            reason += &format!("; {m}");
+        }
+        diagnosis.outcome = Outcome::Incomplete { reason, area: None };
+    }
+    Ok(Case {
+        measured,
+        raw,
+        diagnosis,
+        maps,
+    })
 }
 
 /// The diagnosis as JSON, keys of the interface.
@@ -163,9 +228,18 @@ pub fn to_text(case: &Case) -> String {
     match &d.outcome {
         Outcome::Located(a) | Outcome::Incomplete { area: Some(a), .. } => {
             line(format!("outcome   {}", d.outcome.name().replace('_', " ")));
-            line(format!("FSJ       {:.4}   in {:.4} .. {:.4}", a.centroid.0, a.fsj.lo, a.fsj.hi));
-            line(format!("zeta      {:.5}  in {:.5} .. {:.5}", a.centroid.1, a.zeta.lo, a.zeta.hi));
-            line(format!("coverage  {:.0} % (bands of 3 sigma of the assumed sensors, and the grid's errors)", 100.0 * COVERAGE));
+            line(format!(
+                "FSJ       {:.4}   in {:.4} .. {:.4}",
+                a.centroid.0, a.fsj.lo, a.fsj.hi
+            ));
+            line(format!(
+                "zeta      {:.5}  in {:.5} .. {:.5}",
+                a.centroid.1, a.zeta.lo, a.zeta.hi
+            ));
+            line(format!(
+                "coverage  {:.0} % (bands of 3 sigma of the assumed sensors, and the grid's errors)",
+                100.0 * COVERAGE
+            ));
         }
         o => line(format!("outcome   {}", o.name().replace('_', " "))),
     }
@@ -177,11 +251,19 @@ pub fn to_text(case: &Case) -> String {
             let (lo, hi) = m.range();
             let (f0, z0) = d.outcome.area().map_or((m.fsj[0], m.zeta[0]), |a| a.centroid);
             let h = m.half_width(f0, z0);
-            line(format!("{:9} {v:.6e} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}", f.name(), f.unit()));
+            line(format!(
+                "{:9} {v:.6e} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}",
+                f.name(),
+                f.unit()
+            ));
         }
     }
     let h = &case.maps.header;
-    let sensors = if h.sensors == "none" { "noise free" } else { "with sensor model (assumed)" };
+    let sensors = if h.sensors == "none" {
+        "noise free"
+    } else {
+        "with sensor model (assumed)"
+    };
     line(format!(
         "maps      actuator {}, {} at {} Hz, rest angle {:.1} deg, {sensors}",
         h.actuator,

@@ -24,8 +24,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// Table I of the paper: zeta, FSJ, and the paper's errors in percent of each.
-pub const TABLE_I: [(f64, f64, f64, f64); 4] =
-    [(0.30, 2.0, 0.0, 3.0350), (0.17, 1.2, 11.7647, 5.4333), (0.15, 3.5, 0.0, 0.1829), (0.27, 2.2, 0.0, 1.2500)];
+pub const TABLE_I: [(f64, f64, f64, f64); 4] = [
+    (0.30, 2.0, 0.0, 3.0350),
+    (0.17, 1.2, 11.7647, 5.4333),
+    (0.15, 3.5, 0.0, 0.1829),
+    (0.27, 2.2, 0.0, 1.2500),
+];
 
 /// Statistics of one case over noise seeds.
 #[derive(Clone, Debug)]
@@ -61,7 +65,12 @@ pub fn statistics(
         .into_par_iter()
         .map(|seed| {
             let noise = SensorNoise::new(seed, run.rows());
-            let s = Sensors { model: sensors, noise: &noise, gear_ratio: plan.gear_ratio, rest_angle_rad };
+            let s = Sensors {
+                model: sensors,
+                noise: &noise,
+                gear_ratio: plan.gear_ratio,
+                rest_angle_rad,
+            };
             let mut out = TelemetryBuffer::new(ChannelSet::basic(), run.rows());
             s.measure(&run.view(), &mut out);
             let mut x = FeatureExtractor::new(plan.clone());
@@ -106,7 +115,13 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     let sequence = sim_worker::datasets::sequence("preflight")?;
     let sensors = sim_worker::datasets::sensors("reference")?.expect("built in");
     let channels = ChannelSet::basic();
-    let experiment = Experiment::new(sequence.clone(), 10_000.0, channels, Some(sensors.clone()), actuator.step_s)?;
+    let experiment = Experiment::new(
+        sequence.clone(),
+        10_000.0,
+        channels,
+        Some(sensors.clone()),
+        actuator.step_s,
+    )?;
     let plan = Plan {
         actuator: actuator.clone(),
         grid: sim_worker::datasets::grid(grid)?,
@@ -126,15 +141,27 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     set.save(&dataset.join("maps.parquet"))?;
 
     // the cases: simulated noise free once, recorded through the sensors
-    let bare = Experiment { sensors: None, channels: channels.with(Channel::TorqueM), ..experiment.clone() };
-    let faults: Vec<FaultState> =
-        TABLE_I.iter().map(|&(zeta, fsj, _, _)| FaultState { fsj, zeta }).chain([FaultState::NOMINAL]).collect();
+    let bare = Experiment {
+        sensors: None,
+        channels: channels.with(Channel::TorqueM),
+        ..experiment.clone()
+    };
+    let faults: Vec<FaultState> = TABLE_I
+        .iter()
+        .map(|&(zeta, fsj, _, _)| FaultState { fsj, zeta })
+        .chain([FaultState::NOMINAL])
+        .collect();
     let lanes: Vec<Run> = faults
         .iter()
         .enumerate()
         .map(|(i, &fault)| Run {
             number: i as u64,
-            lane: Lane { actuator: actuator.clone(), fault, rest_angle_rad: 0.0, load_n_m: 0.0 },
+            lane: Lane {
+                actuator: actuator.clone(),
+                fault,
+                rest_angle_rad: 0.0,
+                load_n_m: 0.0,
+            },
             seed: i as u64,
         })
         .collect();
@@ -162,7 +189,7 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
         let truth = FaultState { fsj, zeta };
         let path = cases_dir.join(format!("case_{}.parquet", i + 1));
         let seed = 1000 + i as u64;
-        record(&path, &plan, &collected[i], truth, seed)?;
+        record(&path, &plan, &collected[i], seed)?;
         let c = case::run(&path, &settings)?;
         let s = statistics(&collected[i], truth, &set, &feature_plan, &sensors, seeds);
         let area = c.diagnosis.outcome.area();
@@ -176,8 +203,16 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
                 format!("{:.4} / {:.4}", found.1, found.0),
                 format!("{ez:.2} / {ef:.2}"),
                 format!("{paper_zeta:.2} / {paper_fsj:.2}"),
-                format!("{:.2} / {:.2}", quantile(&s.zeta_error, 0.5), quantile(&s.fsj_error, 0.5)),
-                format!("{:.2} / {:.2}", quantile(&s.zeta_error, 0.95), quantile(&s.fsj_error, 0.95)),
+                format!(
+                    "{:.2} / {:.2}",
+                    quantile(&s.zeta_error, 0.5),
+                    quantile(&s.fsj_error, 0.5)
+                ),
+                format!(
+                    "{:.2} / {:.2}",
+                    quantile(&s.zeta_error, 0.95),
+                    quantile(&s.fsj_error, 0.95)
+                ),
                 format!("{:.4} / {:.3}", s.zeta_width, s.fsj_width),
                 format!("{:.0} %", 100.0 * s.inside),
                 sigma.map_or("-".into(), |(f, z)| format!("{z:.5} / {f:.4}")),
@@ -190,23 +225,47 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
             format!("{:.4} {:.4}", found.1, found.0),
             format!("{ez:.2} {ef:.2} ({paper_zeta:.1} {paper_fsj:.1})"),
             format!("{:.2} {:.2}", quantile(&s.zeta_error, 0.5), quantile(&s.fsj_error, 0.5)),
-            format!("{:.2} {:.2}", quantile(&s.zeta_error, 0.95), quantile(&s.fsj_error, 0.95)),
+            format!(
+                "{:.2} {:.2}",
+                quantile(&s.zeta_error, 0.95),
+                quantile(&s.fsj_error, 0.95)
+            ),
             format!("{:.0} %", 100.0 * s.inside),
         ));
-        sections.push(case_section(&format!("Case {}: zeta {zeta}, FSJ {fsj}", i + 1), &format!("case_{}", i + 1), &c, Some(truth)));
+        sections.push(case_section(
+            &format!("Case {}: zeta {zeta}, FSJ {fsj}", i + 1),
+            &format!("case_{}", i + 1),
+            &c,
+            Some(truth),
+        ));
     }
     if let Some(path) = file {
-        let own = Settings { maps: None, ..settings.clone() };
+        let own = Settings {
+            maps: None,
+            ..settings.clone()
+        };
         let c = case::run(path, &own)?;
         crate::cli::say(&case::to_text(&c));
-        sections.push(case_section(&format!("Your recording: {}", path.display()), "recording", &c, None));
+        sections.push(case_section(
+            &format!("Your recording: {}", path.display()),
+            "recording",
+            &c,
+            None,
+        ));
     }
 
     let table = Table {
         caption: "Table I of the paper beside this run".into(),
         header: [
-            "exact zeta / FSJ", "detected", "error %", "paper's error %", "median error %", "95th percentile %",
-            "median width", "truth inside", "noise alone, 1 sigma",
+            "exact zeta / FSJ",
+            "detected",
+            "error %",
+            "paper's error %",
+            "median error %",
+            "95th percentile %",
+            "median width",
+            "truth inside",
+            "noise alone, 1 sigma",
         ]
         .map(String::from)
         .to_vec(),
@@ -221,21 +280,38 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     let map_figures: Vec<(String, Figure)> = set
         .maps
         .iter()
-        .map(|m| (format!("map_{}", m.feature.name()), Figure::Map(report_pages::map_plot(m, None, None))))
+        .map(|m| {
+            (
+                format!("map_{}", m.feature.name()),
+                Figure::Map(report_pages::map_plot(m, None, None)),
+            )
+        })
         .collect();
     let mut trace_figures = report_pages::model_comparison(nominal, &sm, experiment.rate_hz);
     for (channel, label) in [(Channel::OmegaM, "speed"), (Channel::IEq, "current")] {
         let runs: Vec<(&str, &Collector)> = vec![("healthy", nominal), ("zeta 0.15, FSJ 3.5", &collected[2])];
-        let plot = report_pages::traces(&format!("Healthy and faulty: {}", channel.meaning()), label, &runs, experiment.rate_hz, channel);
+        let plot = report_pages::traces(
+            &format!("Healthy and faulty: {}", channel.meaning()),
+            label,
+            &runs,
+            experiment.rate_hz,
+            channel,
+        );
         trace_figures.push((format!("faults_{label}"), Figure::Trace(plot)));
     }
     let mut all = vec![
-        Section { title: "Four diagnoses".into(), text: String::new(), tables: vec![table], figures: Vec::new() },
+        Section {
+            title: "Four diagnoses".into(),
+            text: String::new(),
+            tables: vec![table],
+            figures: Vec::new(),
+        },
         Section {
             title: "Failure maps".into(),
-            text: "Each curve is one eccentricity zeta; dots are simulated runs, averaged over sensor noise. The ripple \
+            text:
+                "Each curve is one eccentricity zeta; dots are simulated runs, averaged over sensor noise. The ripple \
                    falls slightly with FSJ, the others rise with both faults."
-                .into(),
+                    .into(),
             tables: Vec::new(),
             figures: map_figures,
         },
@@ -247,7 +323,10 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
         tables: Vec::new(),
         figures: trace_figures,
     });
-    let assumed = format!("all {} values of the reference actuator and those of the sensors", actuator.assumed.len());
+    let assumed = format!(
+        "all {} values of the reference actuator and those of the sensors",
+        actuator.assumed.len()
+    );
     let report = Report {
         title: "Failure maps of an electromechanical actuator".into(),
         summary: format!(
@@ -257,19 +336,43 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
             plan.grid.zeta.len()
         ),
         facts: vec![
-            ("Method".into(), "Aimasso, Baldo, Dalla Vedova, Maggiore, Int. J. Mechanics and Control 23(1), 2022".into()),
-            ("Actuator".into(), format!("{} ({})", actuator.name, actuator.fingerprint())),
+            (
+                "Method".into(),
+                "Aimasso, Baldo, Dalla Vedova, Maggiore, Int. J. Mechanics and Control 23(1), 2022".into(),
+            ),
+            (
+                "Actuator".into(),
+                format!("{} ({})", actuator.name, actuator.fingerprint()),
+            ),
             ("Assumed, not sourced".into(), assumed),
-            ("Sequence and rate".into(), format!("{}, {} Hz", sequence.name, experiment.rate_hz)),
-            ("Sensors".into(), format!("{} (assumed): 16 bit resolver, 12 bit currents, white noise", sensors.name)),
+            (
+                "Sequence and rate".into(),
+                format!("{}, {} Hz", sequence.name, experiment.rate_hz),
+            ),
+            (
+                "Sensors".into(),
+                format!(
+                    "{} (assumed): 16 bit resolver, 12 bit currents, white noise",
+                    sensors.name
+                ),
+            ),
             ("Grid".into(), format!("{runs} runs, {steps} steps now, {grid_s:.1} s")),
-            ("Bands".into(), "3 sigma of sensor noise, interpolation, one sample, projection onto a monotone surface".into()),
-            ("Program".into(), format!("ema {}, revision {COMMIT}", env!("CARGO_PKG_VERSION"))),
+            (
+                "Bands".into(),
+                "3 sigma of sensor noise, interpolation, one sample, projection onto a monotone surface".into(),
+            ),
+            (
+                "Program".into(),
+                format!("ema {}, revision {COMMIT}", env!("CARGO_PKG_VERSION")),
+            ),
         ],
         sections: all,
     };
     report::write(&report, out, "report.html")?;
-    crate::cli::say(&format!("zeta FSJ of the paper's Table I, {seeds} noise seeds each\n{}", text_table.join("\n")));
+    crate::cli::say(&format!(
+        "zeta FSJ of the paper's Table I, {seeds} noise seeds each\n{}",
+        text_table.join("\n")
+    ));
     crate::cli::say(&format!(
         "\n{runs} runs, maps, diagnoses and report in {:.1} s: {}",
         begin.elapsed().as_secs_f64(),
@@ -279,17 +382,30 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
 }
 
 /// Writes a simulated run through the sensors as a recording.
-fn record(path: &Path, plan: &Plan, run: &Collector, _truth: FaultState, seed: u64) -> Result<()> {
+fn record(path: &Path, plan: &Plan, run: &Collector, seed: u64) -> Result<()> {
     let sensors = plan.experiment.sensors.as_ref().expect("the demo has sensors");
     let noise = SensorNoise::new(seed, run.rows());
-    let s = Sensors { model: sensors, noise: &noise, gear_ratio: plan.actuator.gear_ratio, rest_angle_rad: 0.0 };
+    let s = Sensors {
+        model: sensors,
+        noise: &noise,
+        gear_ratio: plan.actuator.gear_ratio,
+        rest_angle_rad: 0.0,
+    };
     let channels = ChannelSet::basic();
     let mut out = TelemetryBuffer::new(channels, run.rows());
     s.measure(&run.view(), &mut out);
-    let provenance = schemas::recording::Provenance { seed, grid: String::new(), ..plan.provenance() };
+    let provenance = schemas::recording::Provenance {
+        seed,
+        grid: String::new(),
+        ..plan.provenance()
+    };
     let mut recorder = Recorder::create(path, &provenance, channels, true)?;
     let header = run.header.clone().expect("a run that was collected");
-    let header = schemas::telemetry::TelemetryHeader { channels, sensors: sensors.fingerprint(), ..header };
+    let header = schemas::telemetry::TelemetryHeader {
+        channels,
+        sensors: sensors.fingerprint(),
+        ..header
+    };
     recorder.accept(&header, &out.view())?;
     recorder.finish()?;
     Ok(())
@@ -309,7 +425,13 @@ fn case_section(title: &str, stem: &str, c: &case::Case, truth: Option<FaultStat
         .collect();
     figures.push((
         format!("{stem}_region"),
-        Figure::Region(report_pages::region_plot("Bands in the plane of the faults", &c.maps, d, truth, false)),
+        Figure::Region(report_pages::region_plot(
+            "Bands in the plane of the faults",
+            &c.maps,
+            d,
+            truth,
+            false,
+        )),
     ));
     if d.outcome.area().is_some() {
         let plot = report_pages::region_plot("Located area, enlarged", &c.maps, d, truth, true);
@@ -329,5 +451,10 @@ fn case_section(title: &str, stem: &str, c: &case::Case, truth: Option<FaultStat
         ),
         None => format!("{}: {}", d.outcome.name().replace('_', " "), d.outcome.reason()),
     };
-    Section { title: title.into(), text, tables: Vec::new(), figures }
+    Section {
+        title: title.into(),
+        text,
+        tables: Vec::new(),
+        figures,
+    }
 }

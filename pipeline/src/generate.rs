@@ -20,8 +20,12 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Source revision of this program.
+/// Source revision of this program, for people.
 pub const COMMIT: &str = env!("EMA_COMMIT");
+
+/// Hash of the sources that results depend on: results of other sources are never mixed with
+/// those of this program.
+pub const SOURCE: &str = env!("EMA_SOURCE");
 
 /// Seeds over which the features of a run are averaged when there is a sensor model. The same
 /// seeds serve every run, so that the maps stay smooth.
@@ -50,8 +54,17 @@ impl Plan {
         for &rest_angle_rad in &self.rest_angles_rad {
             for fault in self.grid.points() {
                 let number = runs.len() as u64;
-                let lane = Lane { actuator: self.actuator.clone(), fault, rest_angle_rad, load_n_m: self.load_n_m };
-                runs.push(Run { number, lane, seed: self.seed.wrapping_add(number) });
+                let lane = Lane {
+                    actuator: self.actuator.clone(),
+                    fault,
+                    rest_angle_rad,
+                    load_n_m: self.load_n_m,
+                };
+                runs.push(Run {
+                    number,
+                    lane,
+                    seed: self.seed.wrapping_add(number),
+                });
             }
         }
         runs
@@ -61,7 +74,7 @@ impl Plan {
     pub fn fingerprint(&self) -> String {
         let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
         fingerprint(&format!(
-            "plan;{};{};{};{};{};{};{};{};{};{};{:x};{}{}{}",
+            "plan;{SOURCE};{};{};{};{};{};{};{};{};{};{};{:x};{}{}{}",
             self.actuator.fingerprint(),
             self.experiment.sequence.fingerprint(),
             list(&self.grid.fsj),
@@ -91,6 +104,7 @@ impl Plan {
             effects: String::new(),
             rate_hz: self.experiment.rate_hz,
             step_s: self.actuator.step_s,
+            load_n_m: self.load_n_m,
             seed: self.seed,
             commit: COMMIT.into(),
             model: "ntb".into(),
@@ -133,17 +147,30 @@ impl FeatureSink {
     fn new(plan: Arc<FeaturePlan>, noise: Option<Arc<Noise>>, gear_ratio: f64, channels: ChannelSet) -> Self {
         let n = noise.as_ref().map_or(1, |n| n.seeds.len());
         let extractors = vec![FeatureExtractor::new(plan.clone()); n];
-        Self { plan, noise, extractors, gear_ratio, measured: TelemetryBuffer::new(channels, 512) }
+        Self {
+            plan,
+            noise,
+            extractors,
+            gear_ratio,
+            measured: TelemetryBuffer::new(channels, 512),
+        }
     }
 
     fn push(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) {
-        let Some(noise) = &self.noise else { return self.extractors[0].push(view) };
+        let Some(noise) = &self.noise else {
+            return self.extractors[0].push(view);
+        };
         if !self.plan.needs(view.first, view.rows) {
             return;
         }
         for (seed, x) in noise.seeds.iter().zip(&mut self.extractors) {
             let rest_angle_rad = header.rest_angle_rad.unwrap_or(0.0);
-            let sensors = Sensors { model: &noise.model, noise: seed, gear_ratio: self.gear_ratio, rest_angle_rad };
+            let sensors = Sensors {
+                model: &noise.model,
+                noise: seed,
+                gear_ratio: self.gear_ratio,
+                rest_angle_rad,
+            };
             sensors.measure(view, &mut self.measured);
             x.push(&self.measured.view());
         }
@@ -185,7 +212,12 @@ impl TelemetrySink for RunSink {
         if let Some(r) = &mut self.recorder {
             if let Some((noise, seed)) = &self.noise {
                 let rest_angle_rad = header.rest_angle_rad.unwrap_or(0.0);
-                let s = Sensors { model: &noise.model, noise: seed, gear_ratio: self.gear_ratio, rest_angle_rad };
+                let s = Sensors {
+                    model: &noise.model,
+                    noise: seed,
+                    gear_ratio: self.gear_ratio,
+                    rest_angle_rad,
+                };
                 s.measure(view, &mut self.measured);
                 r.accept(header, &self.measured.view())?;
             } else {
@@ -242,7 +274,12 @@ impl Store for DatasetStore<'_> {
             Ok(RunSink {
                 recorder: if self.plan.keep_telemetry {
                     let single = self.noise.is_some();
-                    Some(Recorder::create(&self.run_path(run), &self.plan.provenance(), channels, single)?)
+                    Some(Recorder::create(
+                        &self.run_path(run),
+                        &self.plan.provenance(),
+                        channels,
+                        single,
+                    )?)
                 } else {
                     None
                 },
@@ -280,14 +317,17 @@ impl Store for DatasetStore<'_> {
     }
 }
 
+/// A run and mean and standard deviation of its mean speed, ripple, P2, P3.
+type FeatureRow<'a> = (&'a Run, [(Option<f64>, f64); 4]);
+
 /// Features table of one block.
-fn write_features(path: &Path, provenance: &Provenance, rows: &[(&Run, [(Option<f64>, f64); 4])]) -> Result<()> {
+fn write_features(path: &Path, provenance: &Provenance, rows: &[FeatureRow<'_>]) -> Result<()> {
     let mut fields = vec![Field::new("run", DataType::UInt64, false)];
     for name in ["fsj", "zeta", "rest_angle_rad"].iter().chain(&FEATURE_COLUMNS) {
         fields.push(Field::new(*name, DataType::Float64, true));
     }
     let schema = Arc::new(Schema::new(fields));
-    let numbers = |f: &dyn Fn(&(&Run, [(Option<f64>, f64); 4])) -> Option<f64>| -> ArrayRef {
+    let numbers = |f: &dyn Fn(&FeatureRow<'_>) -> Option<f64>| -> ArrayRef {
         Arc::new(rows.iter().map(f).collect::<Float64Array>())
     };
     let mut columns: Vec<ArrayRef> = vec![
@@ -323,14 +363,29 @@ pub fn generate(plan: &Plan, dir: &Path, title: &str) -> Result<Option<u64>> {
         let seeds = if plan.keep_features { FEATURE_SEEDS } else { 0 };
         Arc::new(Noise {
             model: model.clone(),
-            seeds: (0..seeds).map(|s| SensorNoise::new(u64::MAX - s, rows as usize)).collect(),
+            seeds: (0..seeds)
+                .map(|s| SensorNoise::new(u64::MAX - s, rows as usize))
+                .collect(),
         })
     });
     let store = DatasetStore {
         plan,
-        runs: if plan.keep_telemetry { folder.part("runs")? } else { PathBuf::new() },
-        features: if plan.keep_features { folder.part("features")? } else { PathBuf::new() },
-        feature_plan: Arc::new(FeaturePlan::new(&plan.actuator, &e.sequence, e.rate_hz, plan.equivalent_current)),
+        runs: if plan.keep_telemetry {
+            folder.part("runs")?
+        } else {
+            PathBuf::new()
+        },
+        features: if plan.keep_features {
+            folder.part("features")?
+        } else {
+            PathBuf::new()
+        },
+        feature_plan: Arc::new(FeaturePlan::new(
+            &plan.actuator,
+            &e.sequence,
+            e.rate_hz,
+            plan.equivalent_current,
+        )),
         noise,
         rows,
     };
@@ -338,7 +393,10 @@ pub fn generate(plan: &Plan, dir: &Path, title: &str) -> Result<Option<u64>> {
     let total = list.iter().map(|b| b.runs.len() as u64).sum();
     let progress = Arc::new(Progress::default());
     // sensors are applied by the sinks, each with its own seeds
-    let bare = Experiment { sensors: None, ..e.clone() };
+    let bare = Experiment {
+        sensors: None,
+        ..e.clone()
+    };
     let whole = crate::progress::with_bar(title, total, &progress, || work(&bare, &list, &store, &progress))?;
     Ok(whole.then(|| progress.steps.load(std::sync::atomic::Ordering::Relaxed)))
 }

@@ -25,18 +25,26 @@ pub struct Measured {
     pub sequence: String,
     pub sequence_fingerprint: String,
     pub sensors: String,
+    /// constant load of a simulated run [N m, motor side]
+    pub load_n_m: Option<f64>,
 }
 
 /// Opens a `.parquet` or `.csv` file; `run` chooses one of several in a Parquet file.
 pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
     let mut magic = [0; 4];
     let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-    let n = file.read(&mut magic).map_err(|e| Error::io(path, "cannot be read", e))?;
+    let n = file
+        .read(&mut magic)
+        .map_err(|e| Error::io(path, "cannot be read", e))?;
     if n == 0 {
         return Err(Error::torn(path, "empty file (0 bytes); allowed: a Parquet or CSV telemetry file").into());
     }
     let parquet = &magic == b"PAR1" || path.extension().is_some_and(|e| e == "parquet");
-    let m = if parquet { open_parquet(path, run)? } else { open_csv(path)? };
+    let m = if parquet {
+        open_parquet(path, run)?
+    } else {
+        open_csv(path)?
+    };
     check(path, &m)?;
     Ok(m)
 }
@@ -65,7 +73,11 @@ impl TelemetrySink for OneRun {
 
 fn open_parquet(path: &Path, run: Option<u64>) -> Result<Measured> {
     let r = schemas::recording::Recording::open(path)?;
-    let mut one = OneRun { wanted: run, seen: Vec::new(), collector: Collector::default() };
+    let mut one = OneRun {
+        wanted: run,
+        seen: Vec::new(),
+        collector: Collector::default(),
+    };
     r.replay(8192, &mut one)?;
     let file = path.display().to_string();
     if run.is_none() && one.seen.len() > 1 {
@@ -84,6 +96,7 @@ fn open_parquet(path: &Path, run: Option<u64>) -> Result<Measured> {
         sequence: p.sequence,
         sequence_fingerprint: p.sequence_fingerprint,
         sensors: p.sensors,
+        load_n_m: (p.model != "measured").then_some(p.load_n_m),
     })
 }
 
@@ -96,6 +109,15 @@ fn open_csv(path: &Path) -> Result<Measured> {
     let head = reader.headers().map_err(|e| Error::torn(path, e))?.clone();
     let names: Vec<&str> = head.iter().map(|h| h.trim_start_matches('\u{feff}')).collect();
     let place = |n: &str| names.iter().position(|h| *h == n);
+    if let Some((i, n)) = names.iter().enumerate().find(|(i, n)| names[..*i].contains(n)) {
+        return Err(Error::bad(
+            file,
+            format!("header, column {}", i + 1),
+            format!("`{n}` again"),
+            "each column once",
+        )
+        .into());
+    }
     let needed = ["t", "com", "theta_m", "omega_m", "i_eq"];
     let absent: Vec<&str> = needed.iter().copied().filter(|n| place(n).is_none()).collect();
     if !absent.is_empty() {
@@ -103,8 +125,11 @@ fn open_csv(path: &Path) -> Result<Measured> {
         return Err(Error::bad(file, "header", names.join(","), allowed).into());
     }
     let time = place("t").expect("checked");
-    let columns: Vec<(usize, Channel)> =
-        names.iter().enumerate().filter_map(|(i, n)| Channel::from_name(n).map(|c| (i, c))).collect();
+    let columns: Vec<(usize, Channel)> = names
+        .iter()
+        .enumerate()
+        .filter_map(|(i, n)| Channel::from_name(n).map(|c| (i, c)))
+        .collect();
     let channels = ChannelSet::of(columns.iter().map(|(_, c)| *c));
     let mut t = Vec::new();
     let mut buffer = TelemetryBuffer::new(channels, 4096);
@@ -132,11 +157,11 @@ fn open_csv(path: &Path) -> Result<Measured> {
             }
         };
         let now = number(time)?;
-        if let Some(&last) = t.last() {
-            if now <= last {
-                let allowed = format!("a time after {last}");
-                return Err(Error::bad(file, format!("line {line}, column `t`"), now, allowed).into());
-            }
+        if let Some(&last) = t.last()
+            && now <= last
+        {
+            let allowed = format!("a time after {last}");
+            return Err(Error::bad(file, format!("line {line}, column `t`"), now, allowed).into());
         }
         t.push(now);
         for &(i, c) in &columns {
@@ -145,12 +170,22 @@ fn open_csv(path: &Path) -> Result<Measured> {
         }
     }
     if t.len() < 2 {
-        return Err(Error::bad(file, "file", format!("{} rows", t.len()), "at least 2 rows after the header").into());
+        return Err(Error::bad(
+            file,
+            "file",
+            format!("{} rows", t.len()),
+            "at least 2 rows after the header",
+        )
+        .into());
     }
     let n = t.len();
     let rate = (n - 1) as f64 / (t[n - 1] - t[0]);
     let round = rate.round();
-    let rate_hz = if (rate - round).abs() < 1e-3 * rate { round } else { rate };
+    let rate_hz = if (rate - round).abs() < 1e-3 * rate {
+        round
+    } else {
+        rate
+    };
     for (i, &x) in t.iter().enumerate() {
         let steady = t[0] + i as f64 / rate_hz;
         if (x - steady).abs() * rate_hz > JITTER {
@@ -159,7 +194,16 @@ fn open_csv(path: &Path) -> Result<Measured> {
         }
     }
     // sample n is of the interval that ends at n / rate
-    buffer.first = ((t[0] * rate_hz).round() as i64).max(0) as u64;
+    if t[0] * rate_hz < -0.5 {
+        return Err(Error::bad(
+            file,
+            "line 2, column `t`",
+            t[0],
+            "times from 0, the start of the sequence, on",
+        )
+        .into());
+    }
+    buffer.first = (t[0] * rate_hz).round() as u64;
     let mut rows = n;
     if buffer.first == 0 {
         // a value at t = 0 belongs to no interval
@@ -190,15 +234,12 @@ fn open_csv(path: &Path) -> Result<Measured> {
         sequence: String::new(),
         sequence_fingerprint: String::new(),
         sensors: String::new(),
+        load_n_m: None,
     })
 }
 
 fn check(path: &Path, m: &Measured) -> Result<()> {
     let file = path.display().to_string();
-    if m.rate_hz < LOWEST_RATE_HZ * (1.0 - 1e-6) {
-        let allowed = format!("a steady rate of at least {LOWEST_RATE_HZ} Hz");
-        return Err(Error::bad(file, "rate [Hz]", m.rate_hz, allowed).into());
-    }
     for c in [Channel::Com, Channel::ThetaM, Channel::OmegaM, Channel::IEq] {
         let Some(values) = m.telemetry.column(c) else {
             let allowed = format!("a column `{}`", c.name());
@@ -244,6 +285,12 @@ pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -
     let by_name = wanted.or((!m.sequence.is_empty()).then_some(m.sequence.as_str()));
     if let Some(name) = by_name {
         if let Ok(s) = sim_worker::datasets::sequence(name) {
+            if wanted.is_none() && m.sequence_fingerprint != s.fingerprint() {
+                let (found, allowed) = (&m.sequence_fingerprint, s.fingerprint());
+                let place = format!("fingerprint of sequence `{name}`");
+                let allowed = format!("{allowed}, or --sequence FILE.toml of the recording");
+                return Err(Error::bad(path.display().to_string(), place, found, allowed).into());
+            }
             let (share, _) = agreement(m, &s, step_s);
             if share < ENOUGH {
                 let found = format!("a command of which {:.0} % follow `{name}`", 100.0 * share);
@@ -267,7 +314,11 @@ pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -
     match best {
         Some((share, s)) if share >= ENOUGH => Ok(s),
         Some((share, s)) => {
-            let found = format!("a command that no known sequence follows (nearest `{}`, {:.0} %)", s.name, 100.0 * share);
+            let found = format!(
+                "a command that no known sequence follows (nearest `{}`, {:.0} %)",
+                s.name,
+                100.0 * share
+            );
             let names: Vec<&str> = sim_worker::datasets::sequence_names().collect();
             let allowed = format!("{} or --sequence FILE.toml", names.join(", "));
             Err(Error::bad(path.display().to_string(), "column `com`", found, allowed).into())
@@ -283,6 +334,9 @@ pub fn is_quantised(m: &Measured, model: &SensorModel) -> bool {
     let lsb = model.resolver_count_rad();
     // beyond 20 rad a single-precision file no longer resolves a twentieth of a count
     let near: Vec<f64> = theta.iter().copied().filter(|x| *x != 0.0 && x.abs() < 20.0).collect();
-    let on = near.iter().filter(|x| ((*x / lsb) - (*x / lsb).round()).abs() < 0.05).count();
+    let on = near
+        .iter()
+        .filter(|x| ((*x / lsb) - (*x / lsb).round()).abs() < 0.05)
+        .count();
     !near.is_empty() && on as f64 >= 0.99 * near.len() as f64
 }

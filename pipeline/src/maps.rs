@@ -1,6 +1,6 @@
 //! The map builder: features of a dataset, read with polars, become failure maps.
 
-use crate::generate::{COMMIT, Plan, generate};
+use crate::generate::{Plan, generate};
 use anyhow::Result;
 use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
 use polars::prelude::*;
@@ -8,7 +8,6 @@ use schemas::channel::ChannelSet;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
 use schemas::feature::{Feature, RawFeatures};
-use schemas::fingerprint::fingerprint;
 use schemas::recording::{Provenance, metadata};
 use schemas::sequence::{Command, TestSequence};
 use sim_worker::parameters::ActuatorParameters;
@@ -36,7 +35,13 @@ impl MapRequest {
     fn plan(&self) -> Result<Plan> {
         let step = self.actuator.step_s;
         let channels = ChannelSet::basic();
-        let experiment = Experiment::new(self.sequence.clone(), self.rate_hz, channels, self.sensors.clone(), step)?;
+        let experiment = Experiment::new(
+            self.sequence.clone(),
+            self.rate_hz,
+            channels,
+            self.sensors.clone(),
+            step,
+        )?;
         Ok(Plan {
             actuator: self.actuator.clone(),
             grid: self.grid.clone(),
@@ -68,19 +73,40 @@ pub fn cache_dir() -> PathBuf {
 
 /// Maps for a request from the cache, made on first use.
 pub fn cached(request: &MapRequest) -> Result<FailureMapSet> {
+    made(&cache_dir().join("maps").join(request.plan()?.fingerprint()), request)
+}
+
+/// Maps for a request from a folder, made there on first use.
+pub fn made(dir: &Path, request: &MapRequest) -> Result<FailureMapSet> {
     let plan = request.plan()?;
-    let key = fingerprint(&format!("{};{};{}", plan.fingerprint(), COMMIT, env!("CARGO_PKG_VERSION")));
-    let dir = cache_dir().join("maps").join(key);
     let file = dir.join("maps.parquet");
     if let Ok(set) = FailureMapSet::load(&file) {
         return Ok(set);
     }
     let n = plan.runs().len();
     eprintln!("making failure maps ({n} runs, kept in {})", dir.display());
-    if generate(&plan, &dir, "maps")?.is_none() {
-        return Err(crate::Interrupted.into());
+    loop {
+        match generate(&plan, dir, "maps") {
+            Ok(Some(_)) => break,
+            Ok(None) => return Err(crate::Interrupted.into()),
+            // somebody else is making the same maps: wait for them
+            Err(Error::Io { what: "is in use", .. }) if !crate::progress::interrupted() => {
+                std::thread::sleep(std::time::Duration::from_millis(200));
+                if let Ok(set) = FailureMapSet::load(&file) {
+                    return Ok(set);
+                }
+            }
+            Err(e) => return Err(e.into()),
+        }
     }
-    let set = build(&dir, &request.sequence, &request.actuator, request.equivalent_current, None, true)?;
+    let set = build(
+        dir,
+        &request.sequence,
+        &request.actuator,
+        request.equivalent_current,
+        None,
+        true,
+    )?;
     for l in &set.header.left_out {
         eprintln!("left out: {l}");
     }
@@ -94,16 +120,21 @@ pub fn scan(pattern: &Path) -> Result<LazyFrame> {
     LazyFrame::scan_parquet(path, ScanArgsParquet::default()).map_err(|e| Error::torn(pattern, e).into())
 }
 
-fn first_file(dir: &Path) -> Result<PathBuf> {
+/// The first features file of a dataset.
+pub fn first_file(dir: &Path) -> Result<PathBuf> {
     let features = dir.join("features");
     let list = std::fs::read_dir(&features).map_err(|e| Error::io(&features, "cannot be read", e))?;
-    let mut files: Vec<PathBuf> =
-        list.flatten().map(|e| e.path()).filter(|p| p.extension().is_some_and(|x| x == "parquet")).collect();
+    let mut files: Vec<PathBuf> = list
+        .flatten()
+        .map(|e| e.path())
+        .filter(|p| p.extension().is_some_and(|x| x == "parquet"))
+        .collect();
     files.sort();
     let allowed = "a dataset with features (ema simulate)";
-    files.into_iter().next().ok_or_else(|| {
-        Error::bad(features.display().to_string(), "folder", "no Parquet files", allowed).into()
-    })
+    files
+        .into_iter()
+        .next()
+        .ok_or_else(|| Error::bad(features.display().to_string(), "folder", "no Parquet files", allowed).into())
 }
 
 /// Builds the maps of a dataset.
@@ -125,11 +156,23 @@ pub fn build(
     let file = dir.display().to_string();
     if provenance.parameters != actuator.fingerprint() {
         let (found, allowed) = (provenance.parameters, actuator.fingerprint());
-        return Err(Error::bad(file, "parameter fingerprint", found, format!("{allowed} ({})", actuator.name)).into());
+        return Err(Error::bad(
+            file,
+            "parameter fingerprint",
+            found,
+            format!("{allowed} ({})", actuator.name),
+        )
+        .into());
     }
     if provenance.sequence_fingerprint != sequence.fingerprint() {
         let (found, allowed) = (provenance.sequence_fingerprint, sequence.fingerprint());
-        return Err(Error::bad(file, "sequence fingerprint", found, format!("{allowed} ({})", sequence.name)).into());
+        return Err(Error::bad(
+            file,
+            "sequence fingerprint",
+            found,
+            format!("{allowed} ({})", sequence.name),
+        )
+        .into());
     }
     let table = scan(&dir.join("features/*.parquet"))?
         .sort(["rest_angle_rad", "zeta", "fsj"], SortMultipleOptions::default())
@@ -137,7 +180,11 @@ pub fn build(
         .map_err(|e| Error::torn(dir, e))?;
     let column = |name: &str| -> Result<Vec<Option<f64>>> {
         let c = table.column(name).map_err(|e| Error::torn(dir, e))?;
-        Ok(c.as_materialized_series().f64().map_err(|e| Error::torn(dir, e))?.iter().collect())
+        Ok(c.as_materialized_series()
+            .f64()
+            .map_err(|e| Error::torn(dir, e))?
+            .iter()
+            .collect())
     };
     let whole = |name: &str| -> Result<Vec<f64>> {
         let values: Option<Vec<f64>> = column(name)?.into_iter().collect();
@@ -152,10 +199,18 @@ pub fn build(
     };
     let angles = distinct(&rest_all);
     let rest = match rest_angle_rad {
-        Some(a) => *angles.iter().find(|&&x| (x - a).abs() < 0.5 * REST_ANGLE_STEP_RAD).ok_or_else(|| {
-            let list: Vec<String> = angles.iter().map(|a| format!("{:.1}", a.to_degrees())).collect();
-            Error::bad(&file, "rest angle [deg]", format!("{:.1}", a.to_degrees()), list.join(", "))
-        })?,
+        Some(a) => *angles
+            .iter()
+            .find(|&&x| (x - a).abs() < 0.5 * REST_ANGLE_STEP_RAD)
+            .ok_or_else(|| {
+                let list: Vec<String> = angles.iter().map(|a| format!("{:.1}", a.to_degrees())).collect();
+                Error::bad(
+                    &file,
+                    "rest angle [deg]",
+                    format!("{:.1}", a.to_degrees()),
+                    list.join(", "),
+                )
+            })?,
         None if angles.len() == 1 => angles[0],
         None => {
             let found = format!("{} rest angles", angles.len());
@@ -238,12 +293,22 @@ pub fn build(
         };
         match FailureMap::build(&file, feature, &fsj, &zeta, raw, noise, sample) {
             Ok(m) => maps.push(m),
-            Err(e) if lenient => left_out.push(e.to_string()),
+            Err(Error::Bad {
+                place, found, allowed, ..
+            }) if lenient => {
+                left_out.push(format!("{}: {place}: {found}; allowed: {allowed}", feature.name()));
+            }
             Err(e) => return Err(e.into()),
         }
     }
     if maps.is_empty() {
-        return Err(Error::bad(file, "features", "none", format!("at least one map from `{}`", sequence.name)).into());
+        return Err(Error::bad(
+            file,
+            "features",
+            "none",
+            format!("at least one map from `{}`", sequence.name),
+        )
+        .into());
     }
     let header = MapSetHeader {
         actuator: provenance.actuator,
@@ -255,9 +320,11 @@ pub fn build(
         rest_angle_rad: rest,
         equivalent_current,
         grid: provenance.grid,
+        load_n_m: provenance.load_n_m,
+        step_s: provenance.step_s,
+        seed: provenance.seed,
         commit: provenance.commit,
         left_out,
     };
     Ok(FailureMapSet { header, nominal, maps })
 }
-

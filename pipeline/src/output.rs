@@ -19,7 +19,12 @@ impl CsvWriter {
     pub fn create(path: &Path) -> Result<Self> {
         let tmp = temporary(path);
         let file = File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;
-        Ok(Self { path: path.into(), tmp, out: Some(BufWriter::new(file)), begun: false })
+        Ok(Self {
+            path: path.into(),
+            tmp,
+            out: Some(BufWriter::new(file)),
+            begun: false,
+        })
     }
 
     pub fn finish(mut self) -> Result<()> {
@@ -67,5 +72,9 @@ impl TelemetrySink for CsvWriter {
 /// 12 significant digits, as short as they allow.
 pub fn digits(x: f64) -> String {
     let rounded: f64 = format!("{x:.11e}").parse().unwrap_or(x);
-    if rounded != 0.0 && (rounded.abs() < 1e-4 || rounded.abs() >= 1e12) { format!("{rounded:e}") } else { format!("{rounded}") }
+    if rounded != 0.0 && (rounded.abs() < 1e-4 || rounded.abs() >= 1e12) {
+        format!("{rounded:e}")
+    } else {
+        format!("{rounded}")
+    }
 }

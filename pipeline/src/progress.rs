@@ -28,7 +28,11 @@ pub fn interrupted() -> bool {
 pub fn with_bar<T>(title: &str, total: u64, progress: &Arc<Progress>, work: impl FnOnce() -> T) -> T {
     let bar = ProgressBar::new(total);
     let style = "{msg} [{bar:30}] {pos}/{len} runs, {per_sec}, {eta} left";
-    bar.set_style(ProgressStyle::with_template(style).expect("a valid template").progress_chars("=> "));
+    bar.set_style(
+        ProgressStyle::with_template(style)
+            .expect("a valid template")
+            .progress_chars("=> "),
+    );
     bar.set_message(title.to_string());
     let done = Arc::new(AtomicBool::new(false));
     let watcher = {

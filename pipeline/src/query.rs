@@ -10,18 +10,24 @@ use std::path::Path;
 /// Tables that a dataset folder offers, with what they hold.
 pub const TABLES: [(&str, &str); 3] = [
     ("runs", "telemetry, one row a sample (runs/*.parquet)"),
-    ("features", "one row a run, p1_rad_per_s and p3 over the healthy run (features/*.parquet)"),
+    (
+        "features",
+        "one row a run, p1_rad_per_s and p3 over the healthy run (features/*.parquet)",
+    ),
     ("maps", "failure maps, one row a grid point and feature (maps.parquet)"),
 ];
 
 /// Features with P1 and P3 over the healthy run of the same rest angle.
 fn features(dir: &Path) -> Result<LazyFrame> {
     let raw = scan(&dir.join("features/*.parquet"))?;
-    let healthy = raw.clone().filter(col("fsj").eq(lit(1.0)).and(col("zeta").eq(lit(0.0)))).select([
-        col("rest_angle_rad"),
-        col("mean_speed_rad_per_s").alias("mean_0"),
-        col("p3_rad").alias("p3_0"),
-    ]);
+    let healthy = raw
+        .clone()
+        .filter(col("fsj").eq(lit(1.0)).and(col("zeta").eq(lit(0.0))))
+        .select([
+            col("rest_angle_rad"),
+            col("mean_speed_rad_per_s").alias("mean_0"),
+            col("p3_rad").alias("p3_0"),
+        ]);
     let on = [col("rest_angle_rad")];
     let d = col("mean_speed_rad_per_s") - col("mean_0");
     let r = col("ripple_rad_per_s");
@@ -54,7 +60,9 @@ pub fn query(dir: &Path, sql: &str) -> Result<DataFrame> {
         let allowed = "a dataset folder with runs/, features/ or maps.parquet";
         return Err(Error::bad(dir.display().to_string(), "folder", "none of its tables", allowed).into());
     }
-    let frame = context.execute(sql).map_err(|e| Error::bad("query", "SQL", one_line(&e), "see ema query --help"))?;
+    let frame = context
+        .execute(sql)
+        .map_err(|e| Error::bad("query", "SQL", one_line(&e), "see ema query --help"))?;
     let frame = frame.collect_with_engine(Engine::Streaming);
     let frame = frame.map_err(|e| Error::bad("query", "SQL", one_line(&e), "see ema query --help"))?;
     Ok(frame.unwrap_single())
@@ -78,7 +86,9 @@ fn text(v: &AnyValue<'_>) -> String {
 
 fn cells(frame: &DataFrame) -> Vec<Vec<AnyValue<'_>>> {
     let columns = frame.columns();
-    (0..frame.height()).map(|i| columns.iter().map(|c| c.get(i).unwrap_or(AnyValue::Null)).collect()).collect()
+    (0..frame.height())
+        .map(|i| columns.iter().map(|c| c.get(i).unwrap_or(AnyValue::Null)).collect())
+        .collect()
 }
 
 /// As CSV.
@@ -103,7 +113,14 @@ pub fn to_json(frame: &DataFrame) -> Result<String> {
     };
     let rows: Vec<serde_json::Value> = cells(frame)
         .iter()
-        .map(|row| names.iter().cloned().zip(row.iter().map(value)).collect::<serde_json::Map<_, _>>().into())
+        .map(|row| {
+            names
+                .iter()
+                .cloned()
+                .zip(row.iter().map(value))
+                .collect::<serde_json::Map<_, _>>()
+                .into()
+        })
         .collect();
     Ok(serde_json::to_string_pretty(&rows)?)
 }

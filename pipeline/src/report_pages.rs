@@ -27,11 +27,17 @@ pub fn map_plot(map: &FailureMap, value: Option<f64>, at: Option<(f64, f64)>) ->
                 let f = f0 + (f1 - f0) * k as f64 / 120.0;
                 (f, map.direction.0 * monotone::at(&map.fsj, &c.y, &c.d, f))
             });
-            Curve { zeta: map.zeta[r], points: points.collect() }
+            Curve {
+                zeta: map.zeta[r],
+                points: points.collect(),
+            }
         })
         .collect();
     let n = map.fsj.len();
-    let knots = rows.iter().flat_map(|&r| (0..n).map(move |c| (map.fsj[c], map.raw[r * n + c]))).collect();
+    let knots = rows
+        .iter()
+        .flat_map(|&r| (0..n).map(move |c| (map.fsj[c], map.raw[r * n + c])))
+        .collect();
     let (f, z) = at.unwrap_or((map.fsj[n / 2], map.zeta[map.zeta.len() / 2]));
     MapPlot {
         name: map.feature.name().to_uppercase(),
@@ -39,14 +45,26 @@ pub fn map_plot(map: &FailureMap, value: Option<f64>, at: Option<(f64, f64)>) ->
         unit: map.feature.unit().into(),
         curves,
         knots,
-        band: value.map(|value| Band { value, half_width: map.half_width(f, z) }),
+        band: value.map(|value| Band {
+            value,
+            half_width: map.half_width(f, z),
+        }),
     }
 }
 
 /// The bands in the plane of the faults: whole range, or zoomed on the located area.
-pub fn region_plot(title: &str, set: &FailureMapSet, d: &Diagnosis, truth: Option<FaultState>, zoom: bool) -> RegionPlot {
+pub fn region_plot(
+    title: &str,
+    set: &FailureMapSet,
+    d: &Diagnosis,
+    truth: Option<FaultState>,
+    zoom: bool,
+) -> RegionPlot {
     let m = &set.maps[0];
-    let whole = ((m.fsj[0], m.fsj[m.fsj.len() - 1]), (m.zeta[0], m.zeta[m.zeta.len() - 1]));
+    let whole = (
+        (m.fsj[0], m.fsj[m.fsj.len() - 1]),
+        (m.zeta[0], m.zeta[m.zeta.len() - 1]),
+    );
     let area = d.outcome.area();
     let (fsj_range, zeta_range) = match (area, zoom) {
         (Some(a), true) => {
@@ -64,14 +82,24 @@ pub fn region_plot(title: &str, set: &FailureMapSet, d: &Diagnosis, truth: Optio
     };
     let lines = |k: i32| zeta_range.0 + (zeta_range.1 - zeta_range.0) * k as f64 / 240.0;
     let strips = |s: &[diagnoser::diagnosis::Strip]| {
-        s.iter().map(|s| Strip { zeta: s.zeta, fsj_lo: s.fsj.lo, fsj_hi: s.fsj.hi }).collect::<Vec<_>>()
+        s.iter()
+            .map(|s| Strip {
+                zeta: s.zeta,
+                fsj_lo: s.fsj.lo,
+                fsj_hi: s.fsj.hi,
+            })
+            .collect::<Vec<_>>()
     };
     let regions = set
         .maps
         .iter()
         .filter_map(|m| {
             let v = d.features.get(m.feature)?;
-            let name = if m.feature == Feature::Ripple { "ripple".to_string() } else { m.feature.name().to_uppercase() };
+            let name = if m.feature == Feature::Ripple {
+                "ripple".to_string()
+            } else {
+                m.feature.name().to_uppercase()
+            };
             Some((name, strips(&region(m, v, (0..=240).map(lines)))))
         })
         .collect();
@@ -94,11 +122,20 @@ pub fn traces(title: &str, label: &str, runs: &[(&str, &Collector)], rate_hz: f6
         .filter_map(|(name, c)| {
             let v = c.column(channel)?;
             let first = c.first;
-            let points = v.iter().enumerate().map(|(i, &y)| ((first + i as u64) as f64 / rate_hz, y)).collect();
+            let points = v
+                .iter()
+                .enumerate()
+                .map(|(i, &y)| ((first + i as u64) as f64 / rate_hz, y))
+                .collect();
             Some((name.to_string(), points))
         })
         .collect();
-    TracePlot { title: title.into(), x_label: "time [s]".into(), y_label: format!("{label} [{}]", channel.unit()), series }
+    TracePlot {
+        title: title.into(),
+        x_label: "time [s]".into(),
+        y_label: format!("{label} [{}]", channel.unit()),
+        series,
+    }
 }
 
 /// Numerical test bench beside the simplified model: position, speed, current, torque.
@@ -106,13 +143,28 @@ pub fn model_comparison(ntb: &Collector, sm: &MonitorTrack, rate_hz: f64) -> Vec
     let pairs: [(&str, &str, Channel, &[f64]); 4] = [
         ("user position", "position", Channel::ThetaU, &sm.theta_u_rad),
         ("motor speed", "speed", Channel::OmegaM, &sm.omega_rad_per_s),
-        ("equivalent current against |Im|", "current", Channel::IEq, &sm.abs_current_a),
+        (
+            "equivalent current against |Im|",
+            "current",
+            Channel::IEq,
+            &sm.abs_current_a,
+        ),
         ("motor torque", "torque", Channel::TorqueM, &sm.torque_n_m),
     ];
     let mut out = Vec::new();
     for (title, label, channel, model) in pairs {
-        let mut plot = traces(&format!("NTB and SM: {title}"), label, &[("NTB", ntb)], rate_hz, channel);
-        let points = model.iter().enumerate().map(|(i, &y)| ((i + 1) as f64 / rate_hz, y)).collect();
+        let mut plot = traces(
+            &format!("NTB and SM: {title}"),
+            label,
+            &[("NTB", ntb)],
+            rate_hz,
+            channel,
+        );
+        let points = model
+            .iter()
+            .enumerate()
+            .map(|(i, &y)| ((i + 1) as f64 / rate_hz, y))
+            .collect();
         plot.series.push(("SM".into(), points));
         out.push((format!("models_{label}"), Figure::Trace(plot)));
     }

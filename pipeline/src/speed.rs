@@ -30,7 +30,10 @@ pub fn engine<const N: usize>(sequence: &TestSequence, set: InstructionSet, repe
     let lanes: Vec<Lane> = (0..N)
         .map(|l| Lane {
             actuator: actuator.clone(),
-            fault: FaultState { fsj: 3.0 + 2.0 * (l as f64 / N as f64 - 0.5), zeta: 0.3 - 0.2 * (l as f64 / N as f64) },
+            fault: FaultState {
+                fsj: 3.0 + 2.0 * (l as f64 / N as f64 - 0.5),
+                zeta: 0.3 - 0.2 * (l as f64 / N as f64),
+            },
             rest_angle_rad: 0.0,
             load_n_m: 0.0,
         })
@@ -48,7 +51,7 @@ pub fn engine<const N: usize>(sequence: &TestSequence, set: InstructionSet, repe
             bench.next_interval();
         }
         best = best.min(start.elapsed().as_secs_f64());
-        std::hint::black_box(bench.sample(0, schemas::channel::Channel::ThetaM));
+        std::hint::black_box(bench.samples(schemas::channel::Channel::ThetaM));
     }
     best * 1e9 / (steps * N) as f64
 }
@@ -56,7 +59,14 @@ pub fn engine<const N: usize>(sequence: &TestSequence, set: InstructionSet, repe
 /// One second at rest.
 pub fn standstill() -> TestSequence {
     let command = Command::Hold { value_rad: 0.0 };
-    TestSequence { name: "standstill".into(), segments: vec![Segment { command, start_s: 0.0, duration_s: 1.0 }] }
+    TestSequence {
+        name: "standstill".into(),
+        segments: vec![Segment {
+            command,
+            start_s: 0.0,
+            duration_s: 1.0,
+        }],
+    }
 }
 
 /// Nanoseconds that the simplified model takes for a microsecond of the pre-flight test.

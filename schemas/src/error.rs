@@ -8,10 +8,19 @@ use std::path::Path;
 pub enum Error {
     /// A value that the format or physics forbids.
     #[error("{file}: {place}: found {found}; allowed: {allowed}")]
-    Bad { file: String, place: String, found: String, allowed: String },
+    Bad {
+        file: String,
+        place: String,
+        found: String,
+        allowed: String,
+    },
     /// The operating system refused.
     #[error("{file}: {what}: {why}")]
-    Io { file: String, what: &'static str, why: String },
+    Io {
+        file: String,
+        what: &'static str,
+        why: String,
+    },
     /// A file that is not what its name says.
     #[error("{file}: {why}")]
     Torn { file: String, why: String },
@@ -24,15 +33,27 @@ impl Error {
         found: impl std::fmt::Display,
         allowed: impl Into<String>,
     ) -> Self {
-        Self::Bad { file: file.into(), place: place.into(), found: found.to_string(), allowed: allowed.into() }
+        Self::Bad {
+            file: file.into(),
+            place: place.into(),
+            found: found.to_string(),
+            allowed: allowed.into(),
+        }
     }
 
     pub fn io(file: &Path, what: &'static str, why: std::io::Error) -> Self {
-        Self::Io { file: file.display().to_string(), what, why: why.to_string() }
+        Self::Io {
+            file: file.display().to_string(),
+            what,
+            why: why.to_string(),
+        }
     }
 
     pub fn torn(file: &Path, why: impl std::fmt::Display) -> Self {
-        Self::Torn { file: file.display().to_string(), why: why.to_string() }
+        Self::Torn {
+            file: file.display().to_string(),
+            why: why.to_string(),
+        }
     }
 }
 
@@ -57,6 +78,9 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
 
 /// Temporary name of `path`: hidden, in the same folder, of this process.
 pub fn temporary(path: &Path) -> std::path::PathBuf {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let name = path
+        .file_name()
+        .map(|n| n.to_string_lossy().into_owned())
+        .unwrap_or_default();
     path.with_file_name(format!(".{name}.tmp-{}", std::process::id()))
 }

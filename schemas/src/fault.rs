@@ -16,7 +16,11 @@ impl FaultState {
     /// The pair, or the place, value and allowed range of the first value that physics forbids.
     pub fn new(fsj: f64, zeta: f64) -> Result<Self, (&'static str, f64, &'static str)> {
         if !(fsj.is_finite() && fsj >= 0.0) {
-            return Err(("fsj", fsj, "a finite friction factor of at least 0 (the paper uses 1 to 5)"));
+            return Err((
+                "fsj",
+                fsj,
+                "a finite friction factor of at least 0 (the paper uses 1 to 5)",
+            ));
         }
         if !(0.0..1.0).contains(&zeta) {
             return Err(("zeta", zeta, "0 <= zeta < 1 (the paper uses 0 to 0.5)"));
@@ -40,12 +44,17 @@ impl FaultGrid {
     pub fn axis(from: f64, to: f64, points: usize) -> Vec<f64> {
         let step = (to - from) / (points.max(2) - 1) as f64;
         // rounded to 1e-12 so that 1.2 is 1.2 and not 1.2000000000000002
-        (0..points).map(|i| ((from + i as f64 * step) * 1e12).round() / 1e12).collect()
+        (0..points)
+            .map(|i| ((from + i as f64 * step) * 1e12).round() / 1e12)
+            .collect()
     }
 
     /// Points in storage order: zeta outer, FSJ inner.
     pub fn points(&self) -> Vec<FaultState> {
-        self.zeta.iter().flat_map(|&zeta| self.fsj.iter().map(move |&fsj| FaultState { fsj, zeta })).collect()
+        self.zeta
+            .iter()
+            .flat_map(|&zeta| self.fsj.iter().map(move |&fsj| FaultState { fsj, zeta }))
+            .collect()
     }
 }
 
@@ -65,11 +74,17 @@ impl Interval {
     }
     /// The common part, if any.
     pub fn meet(self, other: Self) -> Option<Self> {
-        let r = Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) };
+        let r = Self {
+            lo: self.lo.max(other.lo),
+            hi: self.hi.min(other.hi),
+        };
         (r.lo <= r.hi).then_some(r)
     }
     /// The smallest interval around both.
     pub fn join(self, other: Self) -> Self {
-        Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
+        Self {
+            lo: self.lo.min(other.lo),
+            hi: self.hi.max(other.hi),
+        }
     }
 }

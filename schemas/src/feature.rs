@@ -82,7 +82,11 @@ impl Features {
     /// * `raw` measured run
     /// * `nominal` nominal run at the same rate through the same sensors
     pub fn over(raw: &RawFeatures, nominal: &RawFeatures) -> Self {
-        let p1 = match (raw.mean_speed_rad_per_s, raw.ripple_rad_per_s, nominal.mean_speed_rad_per_s) {
+        let p1 = match (
+            raw.mean_speed_rad_per_s,
+            raw.ripple_rad_per_s,
+            nominal.mean_speed_rad_per_s,
+        ) {
             // mean square about the nominal mean = variance + squared difference of the means
             (Some(m), Some(r), Some(m0)) => Some((r * r + (m - m0) * (m - m0)).sqrt()),
             _ => None,

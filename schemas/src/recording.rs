@@ -35,6 +35,8 @@ pub struct Provenance {
     pub effects: String,
     pub rate_hz: f64,
     pub step_s: f64,
+    /// constant load torque [N m, motor side]
+    pub load_n_m: f64,
     pub seed: u64,
     /// source revision of the program
     pub commit: String,
@@ -56,6 +58,7 @@ impl Provenance {
             ("effects", self.effects.clone()),
             ("rate_hz", self.rate_hz.to_string()),
             ("step_s", self.step_s.to_string()),
+            ("load_n_m", self.load_n_m.to_string()),
             ("seed", self.seed.to_string()),
             ("commit", self.commit.clone()),
             ("model", self.model.clone()),
@@ -76,7 +79,8 @@ impl Provenance {
         }
         let number = |k: &str| -> Result<f64> {
             let text = get(k).unwrap_or_default();
-            text.parse().map_err(|_| Error::bad(&file, format!("metadata `ema.{k}`"), &text, "a number"))
+            text.parse()
+                .map_err(|_| Error::bad(&file, format!("metadata `ema.{k}`"), &text, "a number"))
         };
         Ok(Self {
             actuator: get("actuator").unwrap_or_default(),
@@ -88,7 +92,12 @@ impl Provenance {
             effects: get("effects").unwrap_or_default(),
             rate_hz: number("rate_hz")?,
             step_s: number("step_s")?,
-            seed: number("seed")? as u64,
+            load_n_m: number("load_n_m")?,
+            seed: {
+                let text = get("seed").unwrap_or_default();
+                text.parse()
+                    .map_err(|_| Error::bad(&file, "metadata `ema.seed`", &text, "a whole number"))?
+            },
             commit: get("commit").unwrap_or_default(),
             model: get("model").unwrap_or_default(),
         })
@@ -150,14 +159,23 @@ impl Recorder {
         let tmp = temporary(path);
         let file = File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;
         let writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(|e| Error::torn(path, e))?;
-        Ok(Self { path: path.into(), tmp, schema, single, rate_hz: provenance.rate_hz, writer: Some(writer), run: None })
+        Ok(Self {
+            path: path.into(),
+            tmp,
+            schema,
+            single,
+            rate_hz: provenance.rate_hz,
+            writer: Some(writer),
+            run: None,
+        })
     }
 
     /// Ends the file and gives it its name.
     pub fn finish(mut self) -> Result<()> {
         let writer = self.writer.take().expect("finish is called once");
         let file = writer.into_inner().map_err(|e| Error::torn(&self.path, e))?;
-        file.sync_all().map_err(|e| Error::io(&self.path, "cannot be written", e))?;
+        file.sync_all()
+            .map_err(|e| Error::io(&self.path, "cannot be written", e))?;
         std::fs::rename(&self.tmp, &self.path).map_err(|e| Error::io(&self.path, "cannot be renamed", e))
     }
 }
@@ -215,7 +233,10 @@ fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
     let file = File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
     let size = file.metadata().map_err(|e| Error::io(path, "cannot be read", e))?.len();
     if size == 0 {
-        return Err(Error::torn(path, "empty file (0 bytes); allowed: a Parquet or CSV telemetry file"));
+        return Err(Error::torn(
+            path,
+            "empty file (0 bytes); allowed: a Parquet or CSV telemetry file",
+        ));
     }
     ParquetRecordBatchReaderBuilder::try_new(file)
         .map_err(|e| Error::torn(path, format!("not a whole Parquet file of {size} bytes ({e})")))
@@ -228,7 +249,10 @@ pub fn metadata(path: &Path) -> Result<BTreeMap<String, String>> {
 
 fn pairs(builder: &ParquetRecordBatchReaderBuilder<File>) -> BTreeMap<String, String> {
     let list = builder.metadata().file_metadata().key_value_metadata();
-    list.into_iter().flatten().filter_map(|kv| Some((kv.key.clone(), kv.value.clone()?))).collect()
+    list.into_iter()
+        .flatten()
+        .filter_map(|kv| Some((kv.key.clone(), kv.value.clone()?)))
+        .collect()
 }
 
 impl Recording {
@@ -240,12 +264,22 @@ impl Recording {
         for needed in ["run", "t_ns"] {
             if !names.contains(&needed) {
                 let allowed = format!("column `{needed}`");
-                return Err(Error::bad(path.display().to_string(), "columns", names.join(","), allowed));
+                return Err(Error::bad(
+                    path.display().to_string(),
+                    "columns",
+                    names.join(","),
+                    allowed,
+                ));
             }
         }
         let channels = ChannelSet::of(names.iter().filter_map(|n| Channel::from_name(n)));
         let rows = builder.metadata().file_metadata().num_rows() as u64;
-        Ok(Self { path: path.into(), provenance, channels, rows })
+        Ok(Self {
+            path: path.into(),
+            provenance,
+            channels,
+            rows,
+        })
     }
 
     /// Hands all rows to `sink`, run after run, in blocks of at most `block` rows.
@@ -258,12 +292,21 @@ impl Recording {
             let batch = batch.map_err(|e| torn(&e))?;
             let column = |name: &str| batch.column_by_name(name).expect("checked when opened");
             let wrong = |name: &str, t: &DataType| {
-                Error::bad(self.path.display().to_string(), format!("column `{name}`"), t, "the type of schemas/README.md")
+                Error::bad(
+                    self.path.display().to_string(),
+                    format!("column `{name}`"),
+                    t,
+                    "the type of schemas/README.md",
+                )
             };
             let run = column("run");
-            let run = run.as_primitive_opt::<UInt64Type>().ok_or_else(|| wrong("run", run.data_type()))?;
+            let run = run
+                .as_primitive_opt::<UInt64Type>()
+                .ok_or_else(|| wrong("run", run.data_type()))?;
             let t_ns = column("t_ns");
-            let t_ns = t_ns.as_primitive_opt::<Int64Type>().ok_or_else(|| wrong("t_ns", t_ns.data_type()))?;
+            let t_ns = t_ns
+                .as_primitive_opt::<Int64Type>()
+                .ok_or_else(|| wrong("t_ns", t_ns.data_type()))?;
             let optional = |name: &str, i: usize| -> Option<f64> {
                 let c = batch.column_by_name(name)?.as_primitive_opt::<Float64Type>()?;
                 (!c.is_null(i)).then(|| c.value(i))
@@ -271,12 +314,19 @@ impl Recording {
             let mut from = 0;
             while from < batch.num_rows() {
                 let id = run.value(from);
-                let to = (from..batch.num_rows()).find(|&i| run.value(i) != id).unwrap_or(batch.num_rows());
+                let to = (from..batch.num_rows())
+                    .find(|&i| run.value(i) != id)
+                    .unwrap_or(batch.num_rows());
                 let first = (t_ns.value(from) as f64 * 1e-9 * self.provenance.rate_hz).round() as u64;
                 if next.0 == id && next.1 != first {
                     let place = format!("run {id}, t_ns {}", t_ns.value(from));
                     let allowed = format!("sample {} without a gap", next.1);
-                    return Err(Error::bad(self.path.display().to_string(), place, format!("sample {first}"), allowed));
+                    return Err(Error::bad(
+                        self.path.display().to_string(),
+                        place,
+                        format!("sample {first}"),
+                        allowed,
+                    ));
                 }
                 next = (id, first + (to - from) as u64);
                 for c in self.channels.iter() {

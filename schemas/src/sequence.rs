@@ -16,7 +16,11 @@ pub enum Command {
     /// constant from the segment's start [rad]
     Step { height_rad: f64 },
     /// `A sin(2 pi (f0 t + (f1 - f0) t^2/(2 T)))`, T the segment's duration [rad]
-    Chirp { amplitude_rad: f64, from_hz: f64, to_hz: f64 },
+    Chirp {
+        amplitude_rad: f64,
+        from_hz: f64,
+        to_hz: f64,
+    },
     /// `sum over n = 1..5 of A/n sin(2 pi f n t + n^2)` [rad]
     Multisine { amplitude_rad: f64, frequency_hz: f64 },
 }
@@ -57,13 +61,19 @@ impl TestSequence {
             let any = |_: f64| true;
             let up = |x: f64| x > 0.0;
             let command = match kind.as_str() {
-                "ramp" => Command::Ramp { slope_rad_per_s: p.number("slope_rad_per_s", any, NUMBER)? },
-                "hold" => Command::Hold { value_rad: p.number("value_rad", any, NUMBER)? },
+                "ramp" => Command::Ramp {
+                    slope_rad_per_s: p.number("slope_rad_per_s", any, NUMBER)?,
+                },
+                "hold" => Command::Hold {
+                    value_rad: p.number("value_rad", any, NUMBER)?,
+                },
                 "sine" => Command::Sine {
                     amplitude_rad: p.number("amplitude_rad", any, NUMBER)?,
                     frequency_hz: p.number("frequency_hz", up, POSITIVE)?,
                 },
-                "step" => Command::Step { height_rad: p.number("height_rad", any, NUMBER)? },
+                "step" => Command::Step {
+                    height_rad: p.number("height_rad", any, NUMBER)?,
+                },
                 "chirp" => Command::Chirp {
                     amplitude_rad: p.number("amplitude_rad", any, NUMBER)?,
                     from_hz: p.number("from_hz", |x| x >= 0.0, "a number of at least 0")?,
@@ -76,7 +86,11 @@ impl TestSequence {
                 other => return Err(p.bad("command", other, "ramp, hold, sine, step, chirp or multisine")),
             };
             p.finish()?;
-            segments.push(Segment { command, start_s, duration_s });
+            segments.push(Segment {
+                command,
+                start_s,
+                duration_s,
+            });
             // sums such as 0.5 + 0.35 are meant as decimals
             start_s = ((start_s + duration_s) * 1e9).round() / 1e9;
         }
@@ -100,10 +114,20 @@ impl TestSequence {
             let (tag, v): (&str, Vec<f64>) = match s.command {
                 Command::Ramp { slope_rad_per_s } => ("ramp", vec![slope_rad_per_s]),
                 Command::Hold { value_rad } => ("hold", vec![value_rad]),
-                Command::Sine { amplitude_rad, frequency_hz } => ("sine", vec![amplitude_rad, frequency_hz]),
+                Command::Sine {
+                    amplitude_rad,
+                    frequency_hz,
+                } => ("sine", vec![amplitude_rad, frequency_hz]),
                 Command::Step { height_rad } => ("step", vec![height_rad]),
-                Command::Chirp { amplitude_rad, from_hz, to_hz } => ("chirp", vec![amplitude_rad, from_hz, to_hz]),
-                Command::Multisine { amplitude_rad, frequency_hz } => ("multisine", vec![amplitude_rad, frequency_hz]),
+                Command::Chirp {
+                    amplitude_rad,
+                    from_hz,
+                    to_hz,
+                } => ("chirp", vec![amplitude_rad, from_hz, to_hz]),
+                Command::Multisine {
+                    amplitude_rad,
+                    frequency_hz,
+                } => ("multisine", vec![amplitude_rad, frequency_hz]),
             };
             text += &format!(";{tag}@{}+{}", exact(s.start_s), exact(s.duration_s));
             for x in v {

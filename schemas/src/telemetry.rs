@@ -36,7 +36,11 @@ pub struct TelemetryView<'a> {
 
 impl<'a> TelemetryView<'a> {
     pub fn new(first: u64, rows: usize) -> Self {
-        Self { first, rows, columns: [None; Channel::COUNT] }
+        Self {
+            first,
+            rows,
+            columns: [None; Channel::COUNT],
+        }
     }
 
     /// Adds a column of `rows` values, in the channel's unit.
@@ -73,7 +77,11 @@ pub struct TelemetryBuffer {
 
 impl TelemetryBuffer {
     pub fn new(channels: ChannelSet, capacity: usize) -> Self {
-        Self { first: 1, rows: 0, columns: channels.iter().map(|c| (c, Vec::with_capacity(capacity))).collect() }
+        Self {
+            first: 1,
+            rows: 0,
+            columns: channels.iter().map(|c| (c, Vec::with_capacity(capacity))).collect(),
+        }
     }
     /// Appends one row; `value` gives the sample of each channel.
     #[inline]
@@ -97,7 +105,10 @@ impl TelemetryBuffer {
         self.columns.iter_mut().find(|(c, _)| *c == channel).map(|(_, v)| v)
     }
     pub fn column(&self, channel: Channel) -> Option<&[f64]> {
-        self.columns.iter().find(|(c, _)| *c == channel).map(|(_, v)| v.as_slice())
+        self.columns
+            .iter()
+            .find(|(c, _)| *c == channel)
+            .map(|(_, v)| v.as_slice())
     }
     /// Starts the next block after this one.
     pub fn advance(&mut self) {
@@ -145,7 +156,10 @@ impl Collector {
         self.columns.first().map_or(0, |(_, v)| v.len())
     }
     pub fn column(&self, channel: Channel) -> Option<&[f64]> {
-        self.columns.iter().find(|(c, _)| *c == channel).map(|(_, v)| v.as_slice())
+        self.columns
+            .iter()
+            .find(|(c, _)| *c == channel)
+            .map(|(_, v)| v.as_slice())
     }
     pub fn view(&self) -> TelemetryView<'_> {
         let mut v = TelemetryView::new(self.first, self.rows());

@@ -15,10 +15,17 @@ pub struct Section {
 /// Parses a file's text.
 pub fn parse(file: &str, text: &str) -> Result<Section> {
     let table: Table = text.parse().map_err(|e: toml::de::Error| {
-        let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
+        let line = e
+            .span()
+            .map_or(1, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
         Error::bad(file, format!("line {line}"), e.message().replace('\n', " "), "TOML")
     })?;
-    Ok(Section { file: file.into(), path: String::new(), table, known: Vec::new() })
+    Ok(Section {
+        file: file.into(),
+        path: String::new(),
+        table,
+        known: Vec::new(),
+    })
 }
 
 /// Reads and parses a file.
@@ -29,7 +36,11 @@ pub fn read(path: &Path) -> Result<Section> {
 
 fn show(v: &Value) -> String {
     let s = v.to_string();
-    if s.len() > 60 { format!("{}...", s.chars().take(57).collect::<String>()) } else { s }
+    if s.len() > 60 {
+        format!("{}...", s.chars().take(57).collect::<String>())
+    } else {
+        s
+    }
 }
 
 impl Section {
@@ -38,7 +49,11 @@ impl Section {
     }
 
     fn place(&self, key: &str) -> String {
-        if self.path.is_empty() { format!("key `{key}`") } else { format!("key `{}.{key}`", self.path) }
+        if self.path.is_empty() {
+            format!("key `{key}`")
+        } else {
+            format!("key `{}.{key}`", self.path)
+        }
     }
 
     /// The error for a value of this table.
@@ -57,14 +72,19 @@ impl Section {
 
     /// A number, or a table `{ value, source, unit }`; also its source.
     pub fn sourced(&mut self, key: &str, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<(f64, Option<String>)> {
-        let Some(v) = self.take(key) else { return Err(self.bad(key, "nothing", allowed)) };
+        let Some(v) = self.take(key) else {
+            return Err(self.bad(key, "nothing", allowed));
+        };
         let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
         let (x, source) = match &v {
             Value::Table(t) => {
                 if let Some(k) = t.keys().find(|k| !["value", "source", "unit"].contains(&k.as_str())) {
                     return Err(self.bad(&format!("{key}.{k}"), "an unknown key", "value, source, unit"));
                 }
-                (t.get("value").and_then(number), t.get("source").and_then(|s| s.as_str()).map(str::to_string))
+                (
+                    t.get("value").and_then(number),
+                    t.get("source").and_then(|s| s.as_str()).map(str::to_string),
+                )
             }
             v => (number(v), None),
         };
@@ -107,7 +127,9 @@ impl Section {
 
     /// A list of numbers, or a range `{ from, to, points }`.
     pub fn axis(&mut self, key: &str, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<Vec<f64>> {
-        let Some(v) = self.take(key) else { return Err(self.bad(key, "nothing", allowed)) };
+        let Some(v) = self.take(key) else {
+            return Err(self.bad(key, "nothing", allowed));
+        };
         let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
         let values: Option<Vec<f64>> = match &v {
             Value::Array(a) => a.iter().map(number).collect(),
@@ -125,7 +147,9 @@ impl Section {
             }
             _ => None,
         };
-        let Some(values) = values else { return Err(self.bad(key, show(&v), allowed)) };
+        let Some(values) = values else {
+            return Err(self.bad(key, show(&v), allowed));
+        };
         if values.is_empty() {
             return Err(self.bad(key, "an empty list", allowed));
         }
@@ -134,7 +158,11 @@ impl Section {
                 return Err(self.bad(&format!("{key}[{i}]"), x, allowed));
             }
             if i > 0 && x <= values[i - 1] {
-                return Err(self.bad(&format!("{key}[{i}]"), x, format!("strictly rising values, after {}", values[i - 1])));
+                return Err(self.bad(
+                    &format!("{key}[{i}]"),
+                    x,
+                    format!("strictly rising values, after {}", values[i - 1]),
+                ));
             }
         }
         Ok(values)
@@ -144,8 +172,17 @@ impl Section {
     pub fn section(&mut self, key: &str) -> Result<Section> {
         match self.take(key) {
             Some(Value::Table(table)) => {
-                let path = if self.path.is_empty() { key.to_string() } else { format!("{}.{key}", self.path) };
-                Ok(Section { file: self.file.clone(), path, table, known: Vec::new() })
+                let path = if self.path.is_empty() {
+                    key.to_string()
+                } else {
+                    format!("{}.{key}", self.path)
+                };
+                Ok(Section {
+                    file: self.file.clone(),
+                    path,
+                    table,
+                    known: Vec::new(),
+                })
             }
             Some(v) => Err(self.bad(key, show(&v), "a table")),
             None => Err(self.bad(key, "nothing", "a table")),

@@ -1,5 +1,6 @@
 //! The commanded position, step by step.
 
+use crate::lanes::{self, InstructionSet};
 use crate::trig::sin_cos;
 use schemas::sequence::{Command, TestSequence};
 use std::f64::consts::TAU;
@@ -10,13 +11,23 @@ pub struct CommandTrack<'a> {
     sequence: &'a TestSequence,
     starts: Vec<u64>,
     dt: f64,
+    set: InstructionSet,
 }
 
 impl<'a> CommandTrack<'a> {
     /// * `dt` step [s]
     pub fn new(sequence: &'a TestSequence, dt: f64) -> Self {
-        let starts = sequence.segments.iter().map(|s| (s.start_s / dt).round() as u64).collect();
-        Self { sequence, starts, dt }
+        let starts = sequence
+            .segments
+            .iter()
+            .map(|s| (s.start_s / dt).round() as u64)
+            .collect();
+        Self {
+            sequence,
+            starts,
+            dt,
+            set: InstructionSet::detect(),
+        }
     }
 
     /// Commands of the steps `from..from + out.len()` [rad]; the last segment goes on for ever.
@@ -33,17 +44,28 @@ impl<'a> CommandTrack<'a> {
             match segment.command {
                 Command::Ramp { slope_rad_per_s: a } => part.iter_mut().enumerate().for_each(|(j, o)| *o = a * t(j)),
                 Command::Hold { value_rad: a } | Command::Step { height_rad: a } => part.fill(a),
-                Command::Sine { amplitude_rad: a, frequency_hz: f } => {
-                    part.iter_mut().enumerate().for_each(|(j, o)| *o = a * sin_cos(TAU * f * t(j)).0)
+                Command::Sine {
+                    amplitude_rad: a,
+                    frequency_hz: f,
+                } => {
+                    part.iter_mut().enumerate().for_each(|(j, o)| *o = TAU * f * t(j));
+                    lanes::sines(self.set, a, part);
                 }
-                Command::Chirp { amplitude_rad: a, from_hz, to_hz } => {
+                Command::Chirp {
+                    amplitude_rad: a,
+                    from_hz,
+                    to_hz,
+                } => {
                     let rate = (to_hz - from_hz) / (2.0 * segment.duration_s);
                     part.iter_mut().enumerate().for_each(|(j, o)| {
                         let t = t(j);
                         *o = a * sin_cos(TAU * (from_hz * t + rate * t * t)).0;
                     });
                 }
-                Command::Multisine { amplitude_rad: a, frequency_hz: f } => {
+                Command::Multisine {
+                    amplitude_rad: a,
+                    frequency_hz: f,
+                } => {
                     part.iter_mut().enumerate().for_each(|(j, o)| {
                         let t = t(j);
                         *o = (1..=5)

@@ -25,7 +25,12 @@ fn section(kind: &str, known: &[(&str, &str)], name: &str) -> Result<Section> {
         return toml_section::read(Path::new(name));
     }
     let names: Vec<&str> = known.iter().map(|(n, _)| *n).collect();
-    Err(Error::bad("command line", format!("name of {kind}"), name, format!("{} or a .toml file", names.join(", "))))
+    Err(Error::bad(
+        "command line",
+        format!("name of {kind}"),
+        name,
+        format!("{} or a .toml file", names.join(", ")),
+    ))
 }
 
 /// Names of the built-in sequences.
@@ -42,8 +47,16 @@ pub fn sequence(name: &str) -> Result<TestSequence> {
 pub fn grid(name: &str) -> Result<FaultGrid> {
     let mut s = section("grids", GRIDS, name)?;
     let name = s.text("name", "a text")?;
-    let fsj = s.axis("fsj", |x| (0.0..=100.0).contains(&x), "strictly rising friction factors from 0 to 100")?;
-    let zeta = s.axis("zeta", |x| (0.0..1.0).contains(&x), "strictly rising eccentricities, 0 <= zeta < 1")?;
+    let fsj = s.axis(
+        "fsj",
+        |x| (0.0..=100.0).contains(&x),
+        "strictly rising friction factors from 0 to 100",
+    )?;
+    let zeta = s.axis(
+        "zeta",
+        |x| (0.0..1.0).contains(&x),
+        "strictly rising eccentricities, 0 <= zeta < 1",
+    )?;
     s.finish()?;
     Ok(FaultGrid { name, fsj, zeta })
 }

@@ -178,11 +178,16 @@ fn at<const SAME: bool>(l: usize) -> usize {
     if SAME { 0 } else { l }
 }
 
-/// The body of every instantiation: `com.len()` steps over all lanes. A step goes through five
+/// The body of every instantiation: `com.len()` steps over all lanes. A step goes through four
 /// loops over the lanes rather than one: shorter chains of dependent operations, of which the
 /// processor's window then holds several.
 #[inline(always)]
-fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(k: &Constants<N>, state: &mut State<N>, sums: &mut Sums<N>, com: &[f64]) {
+fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
+    k: &Constants<N>,
+    state: &mut State<N>,
+    sums: &mut Sums<N>,
+    com: &[f64],
+) {
     let mut on = Handed::<N>::default();
     // a single lane then lives in registers
     let mut st = state.clone();
@@ -190,7 +195,13 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(k
     for &com in com {
         // controller
         for l in 0..N {
-            let w_ref = position::speed_reference::<ONE>(k.gap[at::<SAME>(l)], com * k.n[at::<SAME>(l)], st.th_u[l], k.w_min[at::<SAME>(l)], k.w_max[at::<SAME>(l)]);
+            let w_ref = position::speed_reference::<ONE>(
+                k.gap[at::<SAME>(l)],
+                com * k.n[at::<SAME>(l)],
+                st.th_u[l],
+                k.w_min[at::<SAME>(l)],
+                k.w_max[at::<SAME>(l)],
+            );
             let gains = speed::Gains {
                 kp: k.kp[at::<SAME>(l)],
                 ki_dt: k.ki_dt[at::<SAME>(l)],
@@ -216,7 +227,11 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(k
         for l in 0..N {
             let (ia, ib) = (st.ia[l], st.ib[l]);
             let relay = |fold: f64, margin: f64| {
-                hysteresis::relay(commutation::phase_reference(fold, on.i_ref[l]), margin, k.hb[at::<SAME>(l)])
+                hysteresis::relay(
+                    commutation::phase_reference(fold, on.i_ref[l]),
+                    margin,
+                    k.hb[at::<SAME>(l)],
+                )
             };
             let h = [
                 relay(on.f0[l], st.ma[l]),
@@ -250,16 +265,31 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(k
         // torque and mechanics
         for l in 0..N {
             let w = st.turn[l];
-            let tm = torque::motor::<ONE>([on.k0[l], on.k1[l], on.k2[l]], [st.ia[l], st.ib[l]], k.t_min[at::<SAME>(l)], k.t_max[at::<SAME>(l)]);
+            let tm = torque::motor::<ONE>(
+                [on.k0[l], on.k1[l], on.k2[l]],
+                [st.ia[l], st.ib[l]],
+                k.t_min[at::<SAME>(l)],
+                k.t_max[at::<SAME>(l)],
+            );
             let (drive, fs, fd) = if F & term::LOAD != 0 {
                 let drive = tm - k.load[at::<SAME>(l)];
                 let direction = if w == 0.0 { drive } else { w };
-                let (fs, fd) = friction::with_load(k.fs[l], k.fd[l], k.load[at::<SAME>(l)], direction, k.opposing[at::<SAME>(l)], k.aiding[at::<SAME>(l)]);
+                let (fs, fd) = friction::with_load(
+                    k.fs[l],
+                    k.fd[l],
+                    k.load[at::<SAME>(l)],
+                    direction,
+                    k.opposing[at::<SAME>(l)],
+                    k.aiding[at::<SAME>(l)],
+                );
                 (drive, fs, fd)
             } else {
                 (tm, k.fs[l], k.fd[l])
             };
-            let mut turn = mechanics::speed::<ONE>(w, friction::net_torque::<ONE>(drive, k.viscous[at::<SAME>(l)] * w, w, fs, fd));
+            let mut turn = mechanics::speed::<ONE>(
+                w,
+                friction::net_torque::<ONE>(drive, k.viscous[at::<SAME>(l)] * w, w, fs, fd),
+            );
             let mut th = st.th[l] + turn;
             if F & term::STOPS != 0 {
                 let (th1, turn1) = end_stop::stop(th, turn, k.stop[at::<SAME>(l)]);
@@ -372,9 +402,39 @@ mod x86 {
         steps_body::<N, F, SAME, ONE>(k, st, sum, com);
     }
 
+    #[target_feature(enable = "avx2")]
+    pub fn sines_avx2(amplitude: f64, x: &mut [f64]) {
+        sines_body(amplitude, x);
+    }
+
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
+    pub fn sines_avx512(amplitude: f64, x: &mut [f64]) {
+        sines_body(amplitude, x);
+    }
+
     #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
     pub fn resync_avx512<const N: usize>(k: &Constants<N>, st: &mut State<N>) {
         resync_body(k, st);
+    }
+}
+
+/// `x = amplitude sin x` for each element.
+#[inline(always)]
+fn sines_body(amplitude: f64, x: &mut [f64]) {
+    for x in x {
+        *x = amplitude * trig::sin_cos(*x).0;
+    }
+}
+
+/// `x = amplitude sin x` for each element; the same bits on every instruction set.
+pub fn sines(set: InstructionSet, amplitude: f64, x: &mut [f64]) {
+    match set {
+        // SAFETY: as in `steps_on`.
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx512 => unsafe { x86::sines_avx512(amplitude, x) },
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx2 => unsafe { x86::sines_avx2(amplitude, x) },
+        _ => sines_body(amplitude, x),
     }
 }
 
@@ -418,7 +478,7 @@ pub fn steps<const N: usize, const F: u32>(
 /// See [`resync_body`].
 pub fn resync<const N: usize>(set: InstructionSet, k: &Constants<N>, st: &mut State<N>) {
     match set {
-        // SAFETY: as in `steps`.
+        // SAFETY: as in `steps_on`.
         #[cfg(target_arch = "x86_64")]
         InstructionSet::Avx512 => unsafe { x86::resync_avx512(k, st) },
         _ => resync_body(k, st),

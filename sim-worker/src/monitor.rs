@@ -9,8 +9,8 @@
 //! longer than a switching period.
 
 use crate::command::CommandTrack;
-use crate::parameters::ActuatorParameters;
 use crate::control;
+use crate::parameters::ActuatorParameters;
 use crate::plant::{backlash, end_stop};
 use schemas::sequence::TestSequence;
 
@@ -114,7 +114,11 @@ impl MonitorModel {
         } else {
             // what the standing rotor feels
             let torque = saturated(reachable(self.kp_kt * w_ref));
-            if torque.abs() <= self.fs { 0.0 } else { 1f64.copysign(torque) }
+            if torque.abs() <= self.fs {
+                0.0
+            } else {
+                1f64.copysign(torque)
+            }
         };
         let mut w = 0.0;
         let mut i = 0.0;

@@ -65,7 +65,8 @@ impl ActuatorParameters {
     /// The reference actuator of `datasets/parameters/reference.toml`.
     pub fn reference() -> Self {
         let s = toml_section::parse("datasets/parameters/reference.toml", REFERENCE);
-        s.and_then(Self::from_section).expect("the built-in parameters are valid")
+        s.and_then(Self::from_section)
+            .expect("the built-in parameters are valid")
     }
 
     pub fn read(path: &Path) -> Result<Self> {
@@ -79,13 +80,14 @@ impl ActuatorParameters {
         let up = |x: f64| x > 0.0;
         let not_below = |x: f64| x >= 0.0;
         let mut assumed = Vec::new();
-        let mut get = |t: &mut Section, path: &str, key: &str, ok: &dyn Fn(f64) -> bool, allowed: &str| -> Result<f64> {
-            let (x, source) = t.sourced(key, ok, allowed)?;
-            if source.as_deref() == Some("assumed") {
-                assumed.push(format!("{path}.{key}"));
-            }
-            Ok(x)
-        };
+        let mut get =
+            |t: &mut Section, path: &str, key: &str, ok: &dyn Fn(f64) -> bool, allowed: &str| -> Result<f64> {
+                let (x, source) = t.sourced(key, ok, allowed)?;
+                if source.as_deref() == Some("assumed") {
+                    assumed.push(format!("{path}.{key}"));
+                }
+                Ok(x)
+            };
         let name = s.text("name", "a text")?;
 
         let mut t = s.section("supply")?;

@@ -86,7 +86,9 @@ impl SensorNoise {
     pub fn new(seed: u64, rows: usize) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let offset = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
-        let rows = (0..rows).map(|_| std::array::from_fn(|_| rng.sample::<f32, _>(StandardNormal))).collect();
+        let rows = (0..rows)
+            .map(|_| std::array::from_fn(|_| rng.sample::<f32, _>(StandardNormal)))
+            .collect();
         Self { offset, rows }
     }
 
@@ -111,8 +113,8 @@ pub struct Sensors<'a> {
 impl Sensors<'_> {
     /// Measures `view` into `out`: positions in resolver counts (the user position from the motor's
     /// through the gear), speed and phase currents with noise, currents in counts, the equivalent
-    /// current from the measured phases. Every value is rounded to f32. Channels that the model
-    /// does not name pass through.
+    /// current from the measured phases. Every value is rounded to f32, those of channels that the
+    /// model does not name too.
     pub fn measure(&self, view: &TelemetryView<'_>, out: &mut TelemetryBuffer) {
         let round = |x: f64| x as f32 as f64;
         let noise = &self.noise.rows[(view.first - 1) as usize..][..view.rows];
@@ -150,18 +152,25 @@ impl Sensors<'_> {
                 }
             }
         }
-        if let (Some(a), Some(b), Some(c)) =
-            (out.column(Channel::IA), out.column(Channel::IB), out.column(Channel::IC))
-        {
-            let eq: Vec<f64> =
-                a.iter().zip(b).zip(c).map(|((a, b), c)| round(0.5 * (a.abs() + b.abs() + c.abs()))).collect();
+        if let (Some(a), Some(b), Some(c)) = (
+            out.column(Channel::IA),
+            out.column(Channel::IB),
+            out.column(Channel::IC),
+        ) {
+            let eq: Vec<f64> = a
+                .iter()
+                .zip(b)
+                .zip(c)
+                .map(|((a, b), c)| round(0.5 * (a.abs() + b.abs() + c.abs())))
+                .collect();
             if let Some(col) = out.column_mut(Channel::IEq) {
                 col.copy_from_slice(&eq);
             }
         }
-        if let Some(col) = out.column_mut(Channel::Com) {
-            for o in col.iter_mut() {
-                *o = round(*o);
+        use Channel::{Com, ISupply, Temperature, TorqueM, VA, VB, VC, VDc};
+        for c in [Com, VA, VB, VC, TorqueM, Channel::IQ, ISupply, VDc, Temperature] {
+            if let Some(col) = out.column_mut(c) {
+                col.iter_mut().for_each(|o| *o = round(*o));
             }
         }
     }

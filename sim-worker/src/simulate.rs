@@ -26,13 +26,24 @@ pub struct Experiment {
 
 impl Experiment {
     /// Refuses a rate that no step or sensor can serve.
-    pub fn new(sequence: TestSequence, rate_hz: f64, channels: ChannelSet, sensors: Option<SensorModel>, step_s: f64) -> Result<Self> {
+    pub fn new(
+        sequence: TestSequence,
+        rate_hz: f64,
+        channels: ChannelSet,
+        sensors: Option<SensorModel>,
+        step_s: f64,
+    ) -> Result<Self> {
         let max = 1.0 / step_s;
         if !(rate_hz.is_finite() && rate_hz >= 1.0 && rate_hz <= max * (1.0 + 1e-9)) {
             let allowed = format!("1 to {max} Hz, one sample a step");
             return Err(Error::bad("command line", "rate", rate_hz, allowed));
         }
-        Ok(Self { sequence, rate_hz, channels, sensors })
+        Ok(Self {
+            sequence,
+            rate_hz,
+            channels,
+            sensors,
+        })
     }
 
     /// Samples of a whole run.
@@ -71,13 +82,23 @@ pub struct Run {
 
 /// Simulates up to [`LANES`] runs side by side; `sinks[i]` gets the telemetry of `runs[i]`.
 /// Returns the steps made, or stops early where `go_on` says so.
-pub fn simulate<S: TelemetrySink>(experiment: &Experiment, runs: &[Run], sinks: &mut [S], go_on: impl Fn() -> bool) -> Result<Option<u64>> {
+pub fn simulate<S: TelemetrySink>(
+    experiment: &Experiment,
+    runs: &[Run],
+    sinks: &mut [S],
+    go_on: impl Fn() -> bool,
+) -> Result<Option<u64>> {
     assert!(runs.len() <= LANES && runs.len() == sinks.len());
     // two single runs take less time than sixteen lanes of which two are used
     if runs.len() <= 2 {
         let mut steps = 0;
         for (run, sink) in runs.iter().zip(sinks) {
-            let Some(n) = simulate_lanes::<1, S>(experiment, std::slice::from_ref(run), std::slice::from_mut(sink), &go_on)?
+            let Some(n) = simulate_lanes::<1, S>(
+                experiment,
+                std::slice::from_ref(run),
+                std::slice::from_mut(sink),
+                &go_on,
+            )?
             else {
                 return Ok(None);
             };
@@ -101,9 +122,14 @@ pub fn simulate_lanes<const N: usize, S: TelemetrySink>(
     let track = CommandTrack::new(&experiment.sequence, dt);
     let rows = experiment.rows();
     let headers: Vec<TelemetryHeader> = runs.iter().map(|r| experiment.header(r)).collect();
-    let noise: Option<Vec<SensorNoise>> =
-        experiment.sensors.as_ref().map(|_| runs.iter().map(|r| SensorNoise::new(r.seed, rows as usize)).collect());
-    let mut buffers = vec![TelemetryBuffer::new(experiment.channels, BLOCK_ROWS); runs.len()];
+    let noise: Option<Vec<SensorNoise>> = experiment
+        .sensors
+        .as_ref()
+        .map(|_| runs.iter().map(|r| SensorNoise::new(r.seed, rows as usize)).collect());
+    // samples of a block by channel, row and lane: turned into columns of a run when it is full
+    let channels: Vec<Channel> = experiment.channels.iter().collect();
+    let mut block = vec![Vec::<[f64; N]>::with_capacity(BLOCK_ROWS); channels.len()];
+    let mut buffer = TelemetryBuffer::new(experiment.channels, BLOCK_ROWS);
     let mut measured = TelemetryBuffer::new(experiment.channels, BLOCK_ROWS);
     let mut com = Vec::new();
     for row in 1..=rows {
@@ -113,16 +139,28 @@ pub fn simulate_lanes<const N: usize, S: TelemetrySink>(
         track.fill(bench.step(), &mut com);
         bench.advance(&com);
         let last = com[com.len() - 1];
-        for (l, b) in buffers.iter_mut().enumerate() {
-            b.push(|c| if c == Channel::Com { last } else { bench.sample(l, c) });
+        for (c, rows) in channels.iter().zip(&mut block) {
+            rows.push(if *c == Channel::Com {
+                [last; N]
+            } else {
+                bench.samples(*c)
+            });
         }
         bench.next_interval();
-        if buffers[0].rows == BLOCK_ROWS || row == rows {
+        if block[0].len() == BLOCK_ROWS || row == rows {
             if !go_on() {
                 return Ok(None);
             }
-            for (l, b) in buffers.iter_mut().enumerate() {
-                let view = b.view();
+            let n = block[0].len();
+            for l in 0..runs.len() {
+                for (c, rows) in channels.iter().zip(&block) {
+                    let column = buffer.column_mut(*c).expect("made with these channels");
+                    column.clear();
+                    column.extend(rows.iter().map(|r| r[l]));
+                }
+                buffer.first = row + 1 - n as u64;
+                buffer.set_rows(n);
+                let view = buffer.view();
                 if let (Some(model), Some(noise)) = (&experiment.sensors, &noise) {
                     let lane = &lanes[l];
                     let sensors = Sensors {
@@ -136,8 +174,8 @@ pub fn simulate_lanes<const N: usize, S: TelemetrySink>(
                 } else {
                     sinks[l].accept(&headers[l], &view)?;
                 }
-                b.advance();
             }
+            block.iter_mut().for_each(Vec::clear);
         }
     }
     Ok(Some(bench.step() * runs.len() as u64))

@@ -17,13 +17,22 @@ pub struct Lane {
     pub load_n_m: f64,
 }
 
+/// One over the kernel's units, for sampling.
+struct Inverse<const N: usize> {
+    ampere: [f64; N],
+    half_ampere: [f64; N],
+    volt: [f64; N],
+    newton_metre: [f64; N],
+    rad_per_s: [f64; N],
+}
+
 /// Numerical test bench of N lanes. All start at rest: position and currents 0, relays at +1.
 pub struct NumericalTestBench<const N: usize> {
     set: InstructionSet,
     constants: Constants<N>,
     state: State<N>,
     sums: Sums<N>,
-    units: [Units; N],
+    inverse: Inverse<N>,
     supply_voltage_v: [f64; N],
     same: bool,
     all_terms: bool,
@@ -43,9 +52,16 @@ impl<const N: usize> NumericalTestBench<N> {
 
     /// As [`NumericalTestBench::new`] on a given instruction set of [`InstructionSet::available`].
     pub fn with_instruction_set(lanes: &[Lane], channels: ChannelSet, set: InstructionSet) -> Self {
-        assert!(InstructionSet::available().contains(&set), "{} is not available here", set.name());
+        assert!(
+            InstructionSet::available().contains(&set),
+            "{} is not available here",
+            set.name()
+        );
         let dt = lanes[0].actuator.step_s;
-        assert!(lanes.iter().all(|l| l.actuator.step_s == dt), "lanes of different steps");
+        assert!(
+            lanes.iter().all(|l| l.actuator.step_s == dt),
+            "lanes of different steps"
+        );
         let mut constants = Constants::default();
         let mut state = State::default();
         let at = |l: usize| &lanes[l.min(lanes.len() - 1)];
@@ -57,13 +73,20 @@ impl<const N: usize> NumericalTestBench<N> {
         state.mc = constants.hb;
         let loaded = lanes.iter().any(|l| l.load_n_m != 0.0);
         let extra = channels.iter().any(|c| !c.is_basic());
+        let units: [Units; N] = std::array::from_fn(|l| Units::new(&at(l).actuator));
         Self {
             set,
-            units: std::array::from_fn(|l| Units::new(&at(l).actuator)),
+            inverse: Inverse {
+                ampere: units.map(|u| 1.0 / u.ampere),
+                half_ampere: units.map(|u| 0.5 / u.ampere),
+                volt: units.map(|u| 1.0 / u.volt),
+                newton_metre: units.map(|u| 1.0 / u.newton_metre),
+                rad_per_s: units.map(|u| 1.0 / u.rad_per_s),
+            },
             supply_voltage_v: std::array::from_fn(|l| at(l).actuator.supply_voltage_v),
-            same: lanes.iter().all(|l| {
-                Arc::ptr_eq(&l.actuator, &lanes[0].actuator) && l.load_n_m == lanes[0].load_n_m
-            }),
+            same: lanes
+                .iter()
+                .all(|l| Arc::ptr_eq(&l.actuator, &lanes[0].actuator) && l.load_n_m == lanes[0].load_n_m),
             all_terms: loaded || extra,
             constants,
             state,
@@ -108,28 +131,30 @@ impl<const N: usize> NumericalTestBench<N> {
         self.step
     }
 
-    /// Lane `l`'s sample of `channel` for the interval since [`NumericalTestBench::next_interval`];
-    /// `Com` is not the bench's to know.
+    /// The samples of `channel` of all lanes for the interval since
+    /// [`NumericalTestBench::next_interval`]; `Com` is not the bench's to know.
     #[inline]
-    pub fn sample(&self, l: usize, channel: Channel) -> f64 {
-        let (u, n) = (&self.units[l], self.interval as f64);
-        let current = |sum: f64| sum / (n * u.ampere);
+    pub fn samples(&self, channel: Channel) -> [f64; N] {
+        let (st, k, sum) = (&self.state, &self.constants, &self.sums);
+        let per_step = 1.0 / self.interval as f64;
+        let mean = |sum: &[f64; N], unit: &[f64; N]| std::array::from_fn(|l| sum[l] * (unit[l] * per_step));
+        let u = &self.inverse;
         match channel {
-            Channel::Com | Channel::Temperature => f64::NAN,
-            Channel::ThetaU => self.state.th_u[l] / self.constants.n[l],
-            Channel::ThetaM => self.constants.th0[l] + self.state.th[l],
-            Channel::OmegaM => self.state.turn[l] / u.rad_per_s,
-            Channel::IEq => 0.5 * current(self.sums.abs[l]),
-            Channel::IA => current(self.sums.ia[l]),
-            Channel::IB => current(self.sums.ib[l]),
-            Channel::IC => -current(self.sums.ia[l] + self.sums.ib[l]),
-            Channel::VA => self.sums.va[l] / (n * u.volt),
-            Channel::VB => self.sums.vb[l] / (n * u.volt),
-            Channel::VC => self.sums.vc[l] / (n * u.volt),
-            Channel::TorqueM => self.sums.torque[l] / (n * u.newton_metre),
-            Channel::IQ => current(self.sums.iq[l]),
-            Channel::ISupply => current(self.sums.supply[l]),
-            Channel::VDc => self.supply_voltage_v[l],
+            Channel::Com | Channel::Temperature => [f64::NAN; N],
+            Channel::ThetaU => std::array::from_fn(|l| st.th_u[l] / k.n[l]),
+            Channel::ThetaM => std::array::from_fn(|l| k.th0[l] + st.th[l]),
+            Channel::OmegaM => std::array::from_fn(|l| st.turn[l] * u.rad_per_s[l]),
+            Channel::IEq => mean(&sum.abs, &u.half_ampere),
+            Channel::IA => mean(&sum.ia, &u.ampere),
+            Channel::IB => mean(&sum.ib, &u.ampere),
+            Channel::IC => std::array::from_fn(|l| -(sum.ia[l] + sum.ib[l]) * (u.ampere[l] * per_step)),
+            Channel::VA => mean(&sum.va, &u.volt),
+            Channel::VB => mean(&sum.vb, &u.volt),
+            Channel::VC => mean(&sum.vc, &u.volt),
+            Channel::TorqueM => mean(&sum.torque, &u.newton_metre),
+            Channel::IQ => mean(&sum.iq, &u.ampere),
+            Channel::ISupply => mean(&sum.supply, &u.ampere),
+            Channel::VDc => self.supply_voltage_v,
         }
     }
 

@@ -4,6 +4,9 @@
 //! Reduction after Cody and Waite (three parts of pi/2), kernels with the coefficients of
 //! fdlibm (`k_sin.c`, `k_cos.c`, Sun Microsystems 1993). Error below 1e-15 for |x| < 1e5 rad.
 
+// the digits are those of fdlibm
+#![allow(clippy::excessive_precision)]
+
 /// Adding and subtracting it rounds a value below 2^51 to the nearest integer.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
@@ -22,22 +25,20 @@ pub fn sin_cos(x: f64) -> (f64, f64) {
     let n = nearest(x * std::f64::consts::FRAC_2_PI);
     let r = ((x - n * PIO2_1) - n * PIO2_2) - n * PIO2_3;
     let z = r * r;
-    let s = r
-        + r * z
-            * (-1.666_666_666_666_663_243_48e-01
-                + z * (8.333_333_333_322_489_461_24e-03
-                    + z * (-1.984_126_982_985_794_931_34e-04
-                        + z * (2.755_731_370_707_006_767_89e-06
-                            + z * (-2.505_076_025_340_686_341_95e-08
-                                + z * 1.589_690_995_211_550_102_21e-10)))));
+    let s = r + r
+        * z
+        * (-1.666_666_666_666_663_243_48e-01
+            + z * (8.333_333_333_322_489_461_24e-03
+                + z * (-1.984_126_982_985_794_931_34e-04
+                    + z * (2.755_731_370_707_006_767_89e-06
+                        + z * (-2.505_076_025_340_686_341_95e-08 + z * 1.589_690_995_211_550_102_21e-10)))));
     let c = (1.0 - 0.5 * z)
         + z * z
             * (4.166_666_666_666_660_190_37e-02
                 + z * (-1.388_888_888_887_410_957_49e-03
                     + z * (2.480_158_728_947_672_941_78e-05
                         + z * (-2.755_731_435_139_066_330_35e-07
-                            + z * (2.087_572_321_298_174_827_90e-09
-                                + z * -1.135_964_755_778_819_482_65e-11)))));
+                            + z * (2.087_572_321_298_174_827_90e-09 + z * -1.135_964_755_778_819_482_65e-11)))));
     // quadrant n mod 4, by arithmetic on the integer-valued n
     let half = nearest(n * 0.5 - 0.25); // floor(n/2) for integer n
     let odd = n - 2.0 * half;

@@ -18,7 +18,13 @@ pub struct Block {
 
 /// Cuts a plan's runs into blocks.
 pub fn blocks(runs: Vec<Run>) -> Vec<Block> {
-    runs.chunks(LANES).enumerate().map(|(number, runs)| Block { number, runs: runs.to_vec() }).collect()
+    runs.chunks(LANES)
+        .enumerate()
+        .map(|(number, runs)| Block {
+            number,
+            runs: runs.to_vec(),
+        })
+        .collect()
 }
 
 /// Where the results of blocks go.
@@ -75,15 +81,36 @@ impl Folder {
                 let found = text.lines().next().unwrap_or("");
                 if found != first {
                     let place = "plan of the folder";
-                    return Err(Error::bad(plan_path.display().to_string(), place, found, format!("{first}, or an empty folder")));
+                    return Err(Error::bad(
+                        plan_path.display().to_string(),
+                        place,
+                        found,
+                        format!("{first}, or an empty folder"),
+                    ));
                 }
             }
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+                let list = std::fs::read_dir(path).map_err(|e| Error::io(path, "cannot be listed", e))?;
+                let other = list
+                    .flatten()
+                    .find(|e| !e.file_name().to_string_lossy().starts_with('.'));
+                if let Some(e) = other {
+                    let found = format!("{} and no plan.txt", e.file_name().to_string_lossy());
+                    return Err(Error::bad(
+                        path.display().to_string(),
+                        "folder",
+                        found,
+                        "an empty folder, or one of this plan",
+                    ));
+                }
                 write_whole(&plan_path, format!("{first}\n{description}\n").as_bytes())?;
             }
             Err(e) => return Err(Error::io(&plan_path, "cannot be read", e)),
         }
-        let folder = Self { path: path.into(), _lock: lock };
+        let folder = Self {
+            path: path.into(),
+            _lock: lock,
+        };
         folder.sweep(path)?;
         Ok(folder)
     }
@@ -118,7 +145,9 @@ pub fn work<S: Store>(experiment: &Experiment, blocks: &[Block], store: &S, prog
         if !store.is_done(block) {
             let mut sinks = store.open(block)?;
             let go_on = || !progress.stop.load(Ordering::Relaxed);
-            let Some(steps) = simulate(experiment, &block.runs, &mut sinks, go_on)? else { return Ok(()) };
+            let Some(steps) = simulate(experiment, &block.runs, &mut sinks, go_on)? else {
+                return Ok(());
+            };
             store.commit(block, sinks)?;
             progress.steps.fetch_add(steps, Ordering::Relaxed);
         }

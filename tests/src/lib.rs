@@ -36,7 +36,12 @@ pub fn reference_runs(faults: &[(f64, f64)], sequence: &str, rate_hz: f64) -> Ve
         .enumerate()
         .map(|(i, &(fsj, zeta))| Run {
             number: i as u64,
-            lane: Lane { actuator: actuator.clone(), fault: FaultState { fsj, zeta }, rest_angle_rad: 0.0, load_n_m: 0.0 },
+            lane: Lane {
+                actuator: actuator.clone(),
+                fault: FaultState { fsj, zeta },
+                rest_angle_rad: 0.0,
+                load_n_m: 0.0,
+            },
             seed: 0,
         })
         .collect();

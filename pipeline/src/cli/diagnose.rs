@@ -71,10 +71,17 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
                 continue;
             }
             let plot = report_pages::region_plot(title, &case.maps, d, None, zoom);
-            figures.push((format!("region{}", if zoom { "_zoom" } else { "" }), Figure::Region(plot)));
+            figures.push((
+                format!("region{}", if zoom { "_zoom" } else { "" }),
+                Figure::Region(plot),
+            ));
         }
-        let section =
-            Section { title: "Diagnosis".into(), text: case::to_text(&case), tables: Vec::new(), figures };
+        let section = Section {
+            title: "Diagnosis".into(),
+            text: case::to_text(&case),
+            tables: Vec::new(),
+            figures,
+        };
         let report = Report {
             title: format!("Diagnosis of {}", a.file.display()),
             summary: format!("Outcome: {}.", d.outcome.name().replace('_', " ")),

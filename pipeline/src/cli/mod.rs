@@ -43,7 +43,9 @@ enum Commands {
     #[command(after_help = "Example: ema maps dataset    (writes dataset/maps.parquet)")]
     Maps(simulate::MapsArgs),
     /// Diagnose a recorded test: intervals of both faults
-    #[command(after_help = "Example: ema diagnose run.csv --json    (maps of the reference actuator, made on first use)")]
+    #[command(
+        after_help = "Example: ema diagnose run.csv --json    (maps of the reference actuator, made on first use)"
+    )]
     Diagnose(diagnose::DiagnoseArgs),
     /// Draw maps, diagnoses and telemetry as SVG
     #[command(after_help = "Example: ema plot maps dataset --out plots")]
@@ -144,7 +146,11 @@ pub fn main() -> ExitCode {
             ExitCode::from(130)
         } else if matches!(e.downcast_ref::<Error>(), Some(Error::Bad { .. } | Error::Torn { .. })) {
             ExitCode::from(EXIT_BAD_INPUT)
-        } else if let Some(Error::Io { what: "cannot be read" | "is in use", .. }) = e.downcast_ref::<Error>() {
+        } else if let Some(Error::Io {
+            what: "cannot be read" | "is in use",
+            ..
+        }) = e.downcast_ref::<Error>()
+        {
             ExitCode::from(EXIT_BAD_INPUT)
         } else {
             ExitCode::from(1)
@@ -194,7 +200,10 @@ fn query(a: &QueryArgs) -> Result<ExitCode> {
         Format::Json => crate::query::to_json(&frame)?,
         Format::Parquet => {
             let allowed = "--out FILE.parquet";
-            let out = a.out.as_ref().ok_or_else(|| Error::bad("command line", "--out", "nothing", allowed))?;
+            let out = a
+                .out
+                .as_ref()
+                .ok_or_else(|| Error::bad("command line", "--out", "nothing", allowed))?;
             crate::query::write_parquet(&mut frame, out)?;
             return Ok(ExitCode::SUCCESS);
         }

@@ -45,7 +45,11 @@ pub fn plot(a: &PlotArgs) -> Result<ExitCode> {
     let mut figures: Vec<(String, Figure)> = Vec::new();
     let dir = match &a.what {
         What::Maps { maps, out } => {
-            let file = if maps.is_dir() { maps.join("maps.parquet") } else { maps.clone() };
+            let file = if maps.is_dir() {
+                maps.join("maps.parquet")
+            } else {
+                maps.clone()
+            };
             for m in &FailureMapSet::load(&file)?.maps {
                 let plot = report_pages::map_plot(m, None, None);
                 figures.push((format!("map_{}", m.feature.name()), Figure::Map(plot)));
@@ -56,7 +60,10 @@ pub fn plot(a: &PlotArgs) -> Result<ExitCode> {
             let mut runs = Vec::new();
             for f in files {
                 let m = crate::input::open(f, None)?;
-                let name = f.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+                let name = f
+                    .file_stem()
+                    .map(|s| s.to_string_lossy().into_owned())
+                    .unwrap_or_default();
                 runs.push((name, m));
             }
             for n in channels {

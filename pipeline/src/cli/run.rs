@@ -64,7 +64,7 @@ pub struct RunArgs {
 
 enum Writer {
     Csv(CsvWriter),
-    Parquet(Recorder),
+    Parquet(Box<Recorder>),
 }
 
 impl TelemetrySink for Writer {
@@ -78,7 +78,11 @@ impl TelemetrySink for Writer {
 
 /// A finite number from the command line.
 pub fn finite(what: &str, x: f64) -> Result<f64> {
-    if x.is_finite() { Ok(x) } else { Err(Error::bad("command line", what, x, "a finite number").into()) }
+    if x.is_finite() {
+        Ok(x)
+    } else {
+        Err(Error::bad("command line", what, x, "a finite number").into())
+    }
 }
 
 /// Faults from the command line.
@@ -115,7 +119,10 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
     let e = Experiment::new(sequence, a.rate, channels, sensors, actuator.step_s)?;
     if a.model == Model::Sm {
         if fault != FaultState::NOMINAL || load_n_m != 0.0 || e.sensors.is_some() {
-            let found = format!("fsj {}, zeta {}, load {}, sensors {}", a.fsj, a.zeta, load_n_m, a.sensors);
+            let found = format!(
+                "fsj {}, zeta {}, load {}, sensors {}",
+                a.fsj, a.zeta, load_n_m, a.sensors
+            );
             let allowed = "fsj 1, zeta 0, load 0, sensors none: the simplified model knows the healthy actuator only";
             return Err(Error::bad("command line", "--model sm", found, allowed).into());
         }
@@ -132,13 +139,23 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
         effects: String::new(),
         rate_hz: a.rate,
         step_s: actuator.step_s,
+        load_n_m,
         seed: a.seed,
         commit: COMMIT.into(),
-        model: if a.model == Model::Ntb { "ntb".into() } else { "sm".into() },
+        model: if a.model == Model::Ntb {
+            "ntb".into()
+        } else {
+            "sm".into()
+        },
     };
     let mut writer = match a.out.extension().and_then(|x| x.to_str()) {
         Some("csv") => Writer::Csv(CsvWriter::create(&a.out)?),
-        Some("parquet") => Writer::Parquet(Recorder::create(&a.out, &provenance, channels, e.sensors.is_some())?),
+        Some("parquet") => Writer::Parquet(Box::new(Recorder::create(
+            &a.out,
+            &provenance,
+            channels,
+            e.sensors.is_some(),
+        )?)),
         _ => {
             let found = a.out.display();
             return Err(Error::bad("command line", "--out", found, "a file name ending in .csv or .parquet").into());
@@ -146,8 +163,17 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
     };
     match a.model {
         Model::Ntb => {
-            let lane = Lane { actuator, fault, rest_angle_rad, load_n_m };
-            let run = Run { number: 0, lane, seed: a.seed };
+            let lane = Lane {
+                actuator,
+                fault,
+                rest_angle_rad,
+                load_n_m,
+            };
+            let run = Run {
+                number: 0,
+                lane,
+                seed: a.seed,
+            };
             let go_on = || !crate::progress::interrupted();
             if simulate(&e, &[run], std::slice::from_mut(&mut writer), go_on)?.is_none() {
                 return Err(crate::Interrupted.into());

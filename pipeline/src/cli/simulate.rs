@@ -37,6 +37,7 @@ pub struct SimulateArgs {
     /// Seed of the sensor noise; each run adds its number
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// What to store of each run
     #[arg(long, value_enum, default_value_t = Keep::Both)]
     keep: Keep,
     /// Rotor angles at rest [deg]
@@ -115,7 +116,7 @@ pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
     let name = match &a.sequence {
         Some(s) => s.clone(),
         None => {
-            let block = a.dataset.join("features/block-00000.parquet");
+            let block = crate::maps::first_file(&a.dataset)?;
             Provenance::from_pairs(&block, &metadata(&block)?)?.sequence
         }
     };

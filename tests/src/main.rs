@@ -1,0 +1,5 @@
+//! `ema` as a user runs it, for the end-to-end tests.
+
+fn main() -> std::process::ExitCode {
+    pipeline::cli::main()
+}

@@ -1,0 +1,602 @@
+//! `ema` as a process: datasets that survive kills, diagnoses, refusals.
+
+use schemas::recording::Recording;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+fn ema(cache: &Path) -> Command {
+    let mut c = Command::new(env!("CARGO_BIN_EXE_ema-under-test"));
+    c.env("EMA_CACHE_DIR", cache).stdin(Stdio::null());
+    c
+}
+
+/// One cache of maps for all tests: made once.
+fn cache() -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join("ema-cache")
+}
+
+fn run(args: &[&str]) -> Output {
+    ema(&cache()).args(args).output().unwrap()
+}
+
+fn ok(args: &[&str]) -> String {
+    let o = run(args);
+    assert!(o.status.success(), "{args:?}: {}", String::from_utf8_lossy(&o.stderr));
+    String::from_utf8(o.stdout).unwrap()
+}
+
+/// Runs, expects a refusal with exit code 4 in one line that holds all of `words`.
+fn refused(args: &[&str], words: &[&str]) {
+    let o = run(args);
+    let err = String::from_utf8_lossy(&o.stderr).into_owned();
+    let line = err.trim_end().lines().last().unwrap_or("").to_string();
+    assert_eq!(o.status.code(), Some(4), "{args:?}: {err}");
+    assert!(!err.contains("panicked"), "{err}");
+    assert!(line.starts_with("ema: "), "{err}");
+    for w in words {
+        assert!(line.contains(w), "no `{w}` in: {line}");
+    }
+}
+
+fn json(args: &[&str]) -> Value {
+    let o = run(args);
+    assert!(
+        matches!(o.status.code(), Some(0 | 3)),
+        "{args:?}: {}",
+        String::from_utf8_lossy(&o.stderr)
+    );
+    serde_json::from_slice(&o.stdout).unwrap()
+}
+
+fn text(p: &Path) -> &str {
+    p.to_str().unwrap()
+}
+
+/// Names and contents of all visible files below a folder, leaving out the lock.
+fn contents(dir: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    let mut stack = vec![dir.to_path_buf()];
+    while let Some(d) = stack.pop() {
+        for e in std::fs::read_dir(d).unwrap().flatten() {
+            let p = e.path();
+            if p.is_dir() {
+                stack.push(p);
+            } else if e.file_name() != ".lock" {
+                all.insert(
+                    p.strip_prefix(dir).unwrap().display().to_string(),
+                    std::fs::read(&p).unwrap(),
+                );
+            }
+        }
+    }
+    all
+}
+
+#[test]
+fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let (whole, killed) = (dir.path().join("whole"), dir.path().join("killed"));
+    let args = |out: &Path| -> Vec<String> {
+        [
+            "simulate",
+            "--grid",
+            "standard",
+            "--rate",
+            "1000",
+            "--sensors",
+            "reference",
+            "--out",
+            text(out),
+        ]
+        .map(String::from)
+        .to_vec()
+    };
+    let o = ema(&cache()).args(args(&whole)).output().unwrap();
+    assert!(o.status.success(), "{}", String::from_utf8_lossy(&o.stderr));
+    let mut kills = 0;
+    for wait in [150, 320, 240, 410, 90, 350, 280, 500] {
+        let mut child = ema(&cache())
+            .args(args(&killed))
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(wait));
+        if child.try_wait().unwrap().is_none() {
+            kills += 1;
+        }
+        let _ = child.kill();
+        child.wait().unwrap();
+        // whatever is visible is whole
+        let runs = killed.join("runs");
+        for e in std::fs::read_dir(&runs).into_iter().flatten().flatten() {
+            let name = e.file_name().to_string_lossy().into_owned();
+            if !name.starts_with('.') {
+                assert_eq!(Recording::open(&e.path()).unwrap().rows, 3000, "{name}");
+            }
+        }
+    }
+    println!("{kills} kills");
+    assert!(kills >= 1);
+    let o = ema(&cache()).args(args(&killed)).output().unwrap();
+    assert!(o.status.success(), "{}", String::from_utf8_lossy(&o.stderr));
+    let (a, b) = (contents(&whole), contents(&killed));
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
+    assert_eq!(a.len(), 187 + 12 + 1);
+    assert!(a == b, "the same bytes");
+    // another plan is refused, and nothing is touched
+    refused(
+        &["simulate", "--grid", "coarse", "--rate", "1000", "--out", text(&killed)],
+        &["plan", "an empty folder"],
+    );
+    assert!(contents(&killed) == b);
+    // maps and queries on it
+    let maps = ok(&["maps", text(&killed)]);
+    assert!(maps.contains("ripple"), "{maps}");
+    let n = ok(&[
+        "query",
+        "SELECT COUNT(*) AS n FROM runs",
+        "--data",
+        text(&killed),
+        "--format",
+        "csv",
+    ]);
+    assert_eq!(n.trim(), format!("n\n{}", 187 * 3000));
+    let first = ok(&[
+        "query",
+        "SELECT p1_rad_per_s, p3 FROM features WHERE fsj = 1 AND zeta = 0",
+        "--data",
+        text(&killed),
+        "--format",
+        "json",
+    ]);
+    let first: Value = serde_json::from_str(&first).unwrap();
+    assert_eq!(first[0]["p3"], 1.0);
+    // a recording of the dataset is located by the dataset's maps
+    let one = killed.join("runs/run-000093.parquet");
+    let d = json(&["diagnose", text(&one), "--maps", text(&killed), "--json"]);
+    assert_eq!(d["outcome"], "located", "{d}");
+    // a torn file is refused, not read halfway
+    let bytes = std::fs::read(&one).unwrap();
+    let torn = dir.path().join("torn.parquet");
+    std::fs::write(&torn, &bytes[..bytes.len() / 2]).unwrap();
+    refused(
+        &["diagnose", text(&torn)],
+        &[
+            "torn.parquet",
+            "not a whole Parquet file",
+            &(bytes.len() / 2).to_string(),
+        ],
+    );
+    // two writers at once: one is told
+    let lock = std::fs::File::options().write(true).open(killed.join(".lock")).unwrap();
+    lock.lock().unwrap();
+    let full: Vec<String> = args(&killed);
+    let full: Vec<&str> = full.iter().map(String::as_str).collect();
+    refused(&full, &["in use", "another process"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn e2e_ctrl_c_leaves_things_clean() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("d");
+    let child = ema(&cache())
+        .args(["simulate", "--grid", "fine", "--keep", "features", "--out", text(&out)])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(Duration::from_millis(700));
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let o = child.wait_with_output().unwrap();
+    assert_eq!(o.status.code(), Some(130), "{}", String::from_utf8_lossy(&o.stderr));
+    assert!(String::from_utf8_lossy(&o.stderr).contains("interrupted"));
+    assert!(contents(&out).keys().all(|k| !k.contains(".tmp-")));
+}
+
+#[test]
+fn e2e_reference_recording_is_located_within_bounds() {
+    let Some(dir) = ema_tests::folder("EMA_REFERENCE_DIR") else {
+        return;
+    };
+    for (name, fsj, zeta) in [
+        ("preflight_fsj3_zeta0.3_10kHz.csv", 3.0, 0.3),
+        ("preflight_fsj3_zeta0.3.csv", 3.0, 0.3),
+        ("preflight_fsj1_zeta0.csv", 1.0, 0.0),
+    ] {
+        let d = json(&["diagnose", text(&dir.join(name)), "--json"]);
+        let get = |a: &str, b: &str| d[a][b].as_f64().unwrap();
+        println!("{name}: {d}");
+        assert_eq!(d["outcome"], "located");
+        assert!(get("fsj", "lo") <= fsj && fsj <= get("fsj", "hi"));
+        assert!(get("zeta", "lo") <= zeta && zeta <= get("zeta", "hi"));
+        assert!(get("fsj", "hi") - get("fsj", "lo") < 0.2);
+        assert!(get("zeta", "hi") - get("zeta", "lo") < 0.03);
+    }
+}
+
+#[test]
+fn e2e_outcomes() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = |n: &str| dir.path().join(n);
+    // located, from Parquet through the sensors and from CSV, at an odd rate and rest angle
+    let p = file("a.parquet");
+    ok(&[
+        "run",
+        "--fsj",
+        "2.6",
+        "--zeta",
+        "0.33",
+        "--sensors",
+        "reference",
+        "--seed",
+        "3",
+        "--out",
+        text(&p),
+    ]);
+    let d = json(&["diagnose", text(&p), "--json"]);
+    assert_eq!(d["outcome"], "located", "{d}");
+    assert!((d["fsj"]["estimate"].as_f64().unwrap() - 2.6).abs() < 0.02);
+    let c = file("b.csv");
+    ok(&[
+        "run",
+        "--fsj",
+        "1.7",
+        "--zeta",
+        "0.12",
+        "--rate",
+        "2500",
+        "--rest-angle-deg",
+        "40",
+        "--out",
+        text(&c),
+    ]);
+    let d = json(&["diagnose", text(&c), "--json", "--grid", "standard"]);
+    assert_eq!(d["outcome"], "located", "{d}");
+    assert!((d["zeta"]["estimate"].as_f64().unwrap() - 0.12).abs() < 0.01, "{d}");
+    // without phase currents, through maps made from i_eq
+    let table = std::fs::read_to_string(&c).unwrap();
+    let narrow = file("narrow.csv");
+    let lines: Vec<String> = table
+        .lines()
+        .map(|l| l.split(',').take(6).collect::<Vec<_>>().join(","))
+        .collect();
+    std::fs::write(&narrow, lines.join("\n")).unwrap();
+    let d = json(&["diagnose", text(&narrow), "--json", "--grid", "standard"]);
+    assert_eq!(d["outcome"], "located", "{d}");
+    // beyond the maps
+    let far = file("far.parquet");
+    ok(&[
+        "run",
+        "--fsj",
+        "6.5",
+        "--zeta",
+        "0.1",
+        "--sensors",
+        "reference",
+        "--out",
+        text(&far),
+    ]);
+    let d = json(&["diagnose", text(&far), "--json"]);
+    assert_eq!(d["outcome"], "out_of_range", "{d}");
+    assert!(d["fsj"]["estimate"].is_null());
+    // cut off before the step
+    let short = file("short.csv");
+    let rows: Vec<&str> = table.lines().take(1 + 2500 * 2).collect();
+    std::fs::write(&short, rows.join("\n")).unwrap();
+    let o = run(&["diagnose", text(&short), "--json", "--grid", "standard"]);
+    assert_eq!(o.status.code(), Some(3));
+    let d: Value = serde_json::from_slice(&o.stdout).unwrap();
+    assert_eq!(d["outcome"], "incomplete");
+    assert!(d["reason"].as_str().unwrap().contains("step window"), "{d}");
+    // another actuator's recording passed off as the reference's: a third more inertia and supply
+    let toml = std::fs::read_to_string(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../datasets/parameters/reference.toml"
+    ))
+    .unwrap();
+    let other = file("other.toml");
+    std::fs::write(
+        &other,
+        toml.replace("value = 0.0376", "value = 0.0395")
+            .replace("\"reference\"", "\"other\""),
+    )
+    .unwrap();
+    let alien = file("alien.csv");
+    ok(&[
+        "run",
+        "--actuator",
+        text(&other),
+        "--fsj",
+        "2",
+        "--zeta",
+        "0.2",
+        "--out",
+        text(&alien),
+    ]);
+    let d = json(&["diagnose", text(&alien), "--json"]);
+    assert!(d["outcome"] == "unexplained" || d["outcome"] == "out_of_range", "{d}");
+    assert!(!d["reason"].as_str().unwrap().is_empty());
+}
+
+#[test]
+fn refuse_bad_telemetry() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = dir.path().join("good.csv");
+    ok(&["run", "--rate", "1000", "--out", text(&good)]);
+    let table = std::fs::read_to_string(&good).unwrap();
+    let bad = |name: &str, content: String| {
+        let p = dir.path().join(name);
+        std::fs::write(&p, content).unwrap();
+        p
+    };
+    let edit = |row: usize, column: usize, value: &str| {
+        let mut lines: Vec<String> = table.lines().map(String::from).collect();
+        let mut cells: Vec<&str> = lines[row].split(',').collect();
+        cells[column] = value;
+        lines[row] = cells.join(",");
+        lines.join("\n")
+    };
+    let p = bad("column.csv", table.replacen("theta_m", "angle", 1));
+    refused(
+        &["diagnose", text(&p)],
+        &["column.csv", "header", "angle", "missing: theta_m"],
+    );
+    let p = bad("nan.csv", edit(1200, 4, "NaN"));
+    refused(
+        &["diagnose", text(&p)],
+        &["nan.csv", "line 1201", "omega_m", "NaN", "finite"],
+    );
+    let p = bad("word.csv", edit(17, 2, "abc"));
+    refused(&["diagnose", text(&p)], &["line 18", "theta_u", "abc"]);
+    let p = bad("back.csv", edit(500, 0, "0.4"));
+    refused(&["diagnose", text(&p)], &["back.csv", "line 501", "0.4", "after 0.499"]);
+    let p = bad("jump.csv", edit(500, 0, "0.5004"));
+    refused(
+        &["diagnose", text(&p)],
+        &["jump.csv", "line 501", "0.5004", "steady 1000 Hz"],
+    );
+    let p = bad("empty.csv", String::new());
+    refused(&["diagnose", text(&p)], &["empty.csv", "0 bytes"]);
+    let p = bad("head.csv", table.lines().next().unwrap().to_string());
+    refused(&["diagnose", text(&p)], &["head.csv", "0 rows", "at least 2"]);
+    let p = bad("ragged.csv", table.replacen("\n0.002,", "\n0.002,7,", 1));
+    refused(&["diagnose", text(&p)], &["ragged.csv", "line 3"]);
+    let slow: Vec<&str> = table
+        .lines()
+        .enumerate()
+        .filter(|(i, _)| *i == 0 || i % 2 == 0)
+        .map(|(_, l)| l)
+        .collect();
+    let p = bad("slow.csv", slow.join("\n"));
+    refused(&["diagnose", text(&p)], &["slow.csv", "500", "at least 1000 Hz"]);
+    let shifted = |l: &str| {
+        let mut cells: Vec<&str> = l.split(',').collect();
+        cells[1] = if cells[1] == "com" { "com" } else { "0.5" };
+        cells.join(",")
+    };
+    let p = bad("other.csv", table.lines().map(shifted).collect::<Vec<_>>().join("\n"));
+    refused(
+        &["diagnose", text(&p)],
+        &["other.csv", "com", "no known sequence follows"],
+    );
+    let p = bad("twice.csv", table.replacen("i_b", "i_a", 1));
+    refused(
+        &["diagnose", text(&p)],
+        &["twice.csv", "`i_a` again", "each column once"],
+    );
+    let late: Vec<&str> = table
+        .lines()
+        .enumerate()
+        .filter(|(i, _)| *i == 0 || *i > 900)
+        .map(|(_, l)| l)
+        .collect();
+    let p = bad("late.csv", late.join("\n"));
+    let d = json(&["diagnose", text(&p), "--json", "--grid", "standard"]);
+    assert_eq!(d["outcome"], "incomplete", "{d}");
+    assert!(d["reason"].as_str().unwrap().contains("rest is unknown"), "{d}");
+    let loaded = dir.path().join("loaded.parquet");
+    ok(&["run", "--rate", "1000", "--load-n-m", "0.05", "--out", text(&loaded)]);
+    refused(
+        &["diagnose", text(&loaded), "--grid", "standard"],
+        &["load torque", "0.05"],
+    );
+    let p = bad("noise.parquet", "PAR1 but no more".into());
+    refused(&["diagnose", text(&p)], &["noise.parquet", "not a whole Parquet file"]);
+    refused(
+        &["diagnose", text(&dir.path().join("none.csv"))],
+        &["none.csv", "cannot be read"],
+    );
+    // another actuator's file, another schema version
+    let toml = std::fs::read_to_string(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../datasets/parameters/reference.toml"
+    ))
+    .unwrap();
+    let other = bad("other.toml", toml.replace("value = 48.0", "value = 50.0"));
+    let alien = dir.path().join("alien.parquet");
+    ok(&[
+        "run",
+        "--actuator",
+        text(&other),
+        "--rate",
+        "1000",
+        "--sequence",
+        "sine",
+        "--out",
+        text(&alien),
+    ]);
+    refused(
+        &["diagnose", text(&alien)],
+        &["alien.parquet", "parameter fingerprint", "--actuator"],
+    );
+    let bytes = std::fs::read(&alien).unwrap();
+    let key = b"ema.schema_version";
+    let at = bytes.windows(key.len()).rposition(|w| w == key).unwrap() + key.len();
+    let digit = (at..at + 8).find(|&i| bytes[i] == b'1').unwrap();
+    let mut changed = bytes.clone();
+    changed[digit] = b'9';
+    let old = dir.path().join("old.parquet");
+    std::fs::write(&old, changed).unwrap();
+    refused(
+        &["diagnose", text(&old)],
+        &["old.parquet", "schema_version", "found 9", "schema version 1"],
+    );
+    // nothing half written
+    refused(
+        &["run", "--out", text(&dir.path().join("x.csv")), "--zeta", "1.5"],
+        &["zeta", "1.5", "zeta < 1"],
+    );
+    refused(
+        &["run", "--out", text(&dir.path().join("x.txt"))],
+        &["x.txt", ".csv or .parquet"],
+    );
+    assert!(!dir.path().join("x.csv").exists());
+    assert!(
+        std::fs::read_dir(dir.path())
+            .unwrap()
+            .flatten()
+            .all(|e| !e.file_name().to_string_lossy().contains(".tmp-"))
+    );
+}
+
+#[test]
+fn refuse_maps_of_another_actuator_rate_or_rest_angle() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("d");
+    ok(&[
+        "simulate",
+        "--grid",
+        "coarse",
+        "--rate",
+        "1000",
+        "--keep",
+        "features",
+        "--out",
+        text(&data),
+    ]);
+    let o = run(&["maps", text(&data)]);
+    // so coarse a grid may be refused as not monotone, but never silently
+    assert!(
+        o.status.success() || o.status.code() == Some(4),
+        "{}",
+        String::from_utf8_lossy(&o.stderr)
+    );
+    ok(&["maps", text(&data), "--lenient"]);
+    let r = dir.path().join("r.csv");
+    ok(&["run", "--rate", "2000", "--out", text(&r)]);
+    refused(
+        &["diagnose", text(&r), "--maps", text(&data)],
+        &["rate", "2000", "1000", "maps.parquet"],
+    );
+    ok(&["run", "--rate", "1000", "--rest-angle-deg", "10", "--out", text(&r)]);
+    refused(
+        &["diagnose", text(&r), "--maps", text(&data)],
+        &["rest", "10.00", "0.00"],
+    );
+    let toml = std::fs::read_to_string(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../datasets/parameters/reference.toml"
+    ))
+    .unwrap();
+    let other = dir.path().join("other.toml");
+    std::fs::write(&other, toml.replace("value = 48.0", "value = 50.0")).unwrap();
+    ok(&["run", "--rate", "1000", "--actuator", text(&other), "--out", text(&r)]);
+    refused(
+        &["diagnose", text(&r), "--actuator", text(&other), "--maps", text(&data)],
+        &["parameters of actuator"],
+    );
+    refused(
+        &["maps", text(&data), "--actuator", text(&other)],
+        &["parameter fingerprint"],
+    );
+    // a torn maps file
+    let file = data.join("maps.parquet");
+    let bytes = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &bytes[..bytes.len() - 100]).unwrap();
+    ok(&["run", "--rate", "1000", "--out", text(&r)]);
+    refused(
+        &["diagnose", text(&r), "--maps", text(&data)],
+        &["maps.parquet", "not a whole Parquet file"],
+    );
+}
+
+#[test]
+fn refuse_what_physics_forbids() {
+    let dir = tempfile::tempdir().unwrap();
+    let toml = std::fs::read_to_string(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../datasets/parameters/reference.toml"
+    ))
+    .unwrap();
+    let file = dir.path().join("actuator.toml");
+    let out = dir.path().join("x.csv");
+    for (from, to, words) in [
+        (
+            "value = 1.065",
+            "value = -1.0",
+            ["motor.phase_resistance_ohm", "-1", "above 0"],
+        ),
+        (
+            "value = 1.065",
+            "value = nan",
+            ["motor.phase_resistance_ohm", "NaN", "above 0"],
+        ),
+        (
+            "value = 2,",
+            "value = 2.5,",
+            ["motor.pole_pairs", "2.5", "whole number"],
+        ),
+        ("voltage_v", "volts", ["supply.voltage_v", "nothing", "above 0"]),
+        (
+            "[numerics]",
+            "[numerics]\nextra = 1",
+            ["numerics.extra", "unknown key", "step_s"],
+        ),
+        (
+            "value = 0.7",
+            "value = 1.7",
+            ["friction.dynamic_ratio", "1.7", "0 to 1"],
+        ),
+        ("value = 1e-6", "value = 1e-3", ["numerics.step_s", "0.001", "L/R"]),
+        ("[supply]", "[supply", ["line", "TOML", "actuator.toml"]),
+    ] {
+        assert!(toml.contains(from), "{from}");
+        std::fs::write(&file, toml.replacen(from, to, 1)).unwrap();
+        let mut all = words.to_vec();
+        all.push("actuator.toml");
+        refused(&["run", "--actuator", text(&file), "--out", text(&out)], &all);
+    }
+    let seq = dir.path().join("s.toml");
+    std::fs::write(
+        &seq,
+        "name = \"s\"\n[[segment]]\ncommand = \"sine\"\namplitude_rad = 1e-3\nfrequency_hz = -5\nduration_s = 1\n",
+    )
+    .unwrap();
+    refused(
+        &["run", "--sequence", text(&seq), "--out", text(&out)],
+        &["s.toml", "segment[0].frequency_hz", "-5"],
+    );
+    let grid = dir.path().join("g.toml");
+    std::fs::write(&grid, "name = \"g\"\nfsj = [1, 2]\nzeta = [0.0, 1.0]\n").unwrap();
+    refused(
+        &["simulate", "--grid", text(&grid), "--out", text(dir.path())],
+        &["g.toml", "zeta[1]", "zeta < 1"],
+    );
+    std::fs::write(&grid, "name = \"g\"\nfsj = [2, 1]\nzeta = [0.0, 0.1]\n").unwrap();
+    refused(
+        &["simulate", "--grid", text(&grid), "--out", text(dir.path())],
+        &["g.toml", "fsj[1]", "strictly rising"],
+    );
+    refused(
+        &["run", "--sequence", "nope", "--out", text(&out)],
+        &["sequences", "nope", "preflight"],
+    );
+    refused(&["run", "--rate", "2e6", "--out", text(&out)], &["rate", "2000000"]);
+    assert!(!out.exists());
+}

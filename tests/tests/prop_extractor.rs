@@ -1,0 +1,97 @@
+//! The extractor gives the same bits whatever the chunks, and the same through every medium.
+
+use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
+use ema_tests::reference_run;
+use proptest::prelude::*;
+use schemas::feature::RawFeatures;
+use schemas::recording::{Provenance, Recorder, Recording};
+use schemas::telemetry::{Collector, TelemetrySink};
+use sim_worker::parameters::ActuatorParameters;
+use std::sync::{Arc, LazyLock};
+
+static RUN: LazyLock<Collector> = LazyLock::new(|| reference_run(2.3, 0.21, "preflight", 1000.0));
+
+fn plan() -> Arc<FeaturePlan> {
+    let s = sim_worker::datasets::sequence("preflight").unwrap();
+    Arc::new(FeaturePlan::new(&ActuatorParameters::reference(), &s, 1000.0, false))
+}
+
+fn bits(f: &RawFeatures) -> [Option<u64>; 5] {
+    [
+        f.mean_speed_rad_per_s,
+        f.ripple_rad_per_s,
+        f.p2_a,
+        f.p3_rad,
+        f.rest_angle_rad,
+    ]
+    .map(|x| x.map(f64::to_bits))
+}
+
+fn whole() -> [Option<u64>; 5] {
+    let mut x = FeatureExtractor::new(plan());
+    x.push(&RUN.view());
+    assert!(x.missing().is_empty(), "{:?}", x.missing());
+    bits(&x.features())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn prop_any_chunking_gives_the_same_bits(sizes in prop::collection::vec(1usize..700, 1..200)) {
+        let mut x = FeatureExtractor::new(plan());
+        let view = RUN.view();
+        let mut from = 0;
+        for size in sizes.iter().cycle() {
+            let to = (from + size).min(view.rows);
+            x.push(&view.slice(from, to));
+            from = to;
+            if from == view.rows {
+                break;
+            }
+        }
+        prop_assert_eq!(bits(&x.features()), whole());
+    }
+
+    #[test]
+    fn prop_a_gap_leaves_its_feature_out(at in 0usize..2990, len in 1usize..8) {
+        let mut x = FeatureExtractor::new(plan());
+        let view = RUN.view();
+        x.push(&view.slice(0, at));
+        x.push(&view.slice(at + len, view.rows));
+        let (f, full) = (bits(&x.features()), whole());
+        for k in 0..3 {
+            // present and exact, or absent and named
+            prop_assert!(f[k] == full[k] || f[k].is_none());
+        }
+        let hit = |a: usize, b: usize| at < b && at + len > a;
+        prop_assert_eq!(f[0].is_none(), hit(2400, 2850));
+        prop_assert_eq!(f[2].is_none(), hit(850, 1850));
+        if f[0].is_none() || f[2].is_none() {
+            prop_assert!(!x.missing().is_empty());
+        }
+    }
+}
+
+#[test]
+fn prop_a_parquet_file_gives_back_the_same_bits() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("run.parquet");
+    let header = RUN.header.clone().unwrap();
+    let provenance = Provenance {
+        rate_hz: 1000.0,
+        sequence: "preflight".into(),
+        ..Default::default()
+    };
+    let mut r = Recorder::create(&path, &provenance, header.channels, false).unwrap();
+    r.accept(&header, &RUN.view()).unwrap();
+    r.finish().unwrap();
+    let mut x = FeatureExtractor::new(plan());
+    Recording::open(&path).unwrap().replay(333, &mut x).unwrap();
+    assert_eq!(bits(&x.features()), whole());
+    assert_eq!(
+        std::fs::read_dir(dir.path()).unwrap().count(),
+        1,
+        "no temporary file is left"
+    );
+}
