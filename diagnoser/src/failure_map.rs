@@ -36,11 +36,15 @@ const STEP_RATIO: f64 = 3.0;
 pub struct BandBudget {
     /// standard deviation of the feature from sensor noise and offsets
     pub noise: f64,
-    /// interpolation between grid points, from leave-one-out
+    /// typical interpolation error between grid points, from leave-one-out
     pub interpolation: f64,
     /// one sample of the command, where the feature is a command at a sample
     pub sample: f64,
 }
+
+/// Grid points around a leave-one-out error, each way, that it is believed for: a single small one
+/// may be small by chance.
+const NEIGHBOURS: usize = 2;
 
 /// One feature over the fault grid.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +61,8 @@ pub struct FailureMap {
     pub budget: BandBudget,
     /// |raw - value| at each grid point
     pub residual: Vec<f64>,
-    /// what is added to the band at each grid point: the residual, and steps between grid points
+    /// what is added to the band at each grid point: the residual, interpolation errors beyond the
+    /// typical one, and steps between grid points
     margin: Vec<f64>,
     /// slopes of `value` across zeta
     slope: Vec<f64>,
@@ -158,37 +163,29 @@ impl FailureMap {
         };
         map.slope = map.slopes_across();
         let left_out = map.leave_one_out(1);
-        let most = |v: &[f64]| {
+        let quantile = |v: &[f64], q: f64| {
             let mut v: Vec<f64> = v.iter().copied().filter(|e| *e > 0.0).collect();
             v.sort_by(f64::total_cmp);
-            if v.is_empty() {
-                0.0
-            } else {
-                v[((v.len() - 1) as f64 * 0.95).round() as usize]
-            }
+            if v.is_empty() { 0.0 } else { v[((v.len() - 1) as f64 * q).round() as usize] }
         };
-        let (typical, coarse) = (most(&left_out), most(&map.leave_one_out(2)));
-        let share = if coarse > 0.0 {
-            (typical / coarse).clamp(SMOOTH_SHARE, 1.0)
-        } else {
-            1.0
-        };
-        map.budget.interpolation = share * typical;
+        let (typical, coarse) = (quantile(&left_out, 0.95), quantile(&map.leave_one_out(2), 0.95));
+        let share = if coarse > 0.0 { (typical / coarse).clamp(SMOOTH_SHARE, 1.0) } else { 1.0 };
+        map.budget.interpolation = share * quantile(&left_out, 0.5);
+        // where the error is greater than that, the rest goes into the band of the grid points around
         let rows = map.zeta.len();
-        for (i, &e) in left_out
-            .iter()
-            .enumerate()
-            .filter(|(_, e)| **e > STEP_RATIO * typical && **e > sample)
-        {
-            // the step lies somewhere in the cells around the point
+        let mut local = vec![0.0_f64; left_out.len()];
+        for (i, &e) in left_out.iter().enumerate() {
             let (r, c) = (i / columns, i % columns);
-            for r in r.saturating_sub(1)..=(r + 1).min(rows - 1) {
-                for c in c.saturating_sub(1)..=(c + 1).min(columns - 1) {
-                    let m = &mut map.margin[r * columns + c];
-                    *m = m.max(2.0 * e);
+            let step = e > STEP_RATIO * typical && e > sample;
+            let (error, reach) = if step { (2.0 * e, 1) } else { (share * e, NEIGHBOURS) };
+            for r in r.saturating_sub(reach)..=(r + reach).min(rows - 1) {
+                for c in c.saturating_sub(reach)..=(c + reach).min(columns - 1) {
+                    let m = &mut local[r * columns + c];
+                    *m = m.max(error - map.budget.interpolation);
                 }
             }
         }
+        map.margin = map.residual.iter().zip(&local).map(|(a, b)| a + b).collect();
         Ok(map)
     }
 
