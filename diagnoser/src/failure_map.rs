@@ -42,6 +42,9 @@ pub struct BandBudget {
     pub sample: f64,
 }
 
+/// Quantile of the leave-one-out errors that goes into the band everywhere.
+const USUAL: f64 = 0.8;
+
 /// Grid points around a leave-one-out error, each way, that it is believed for: a single small one
 /// may be small by chance.
 const NEIGHBOURS: usize = 2;
@@ -168,9 +171,16 @@ impl FailureMap {
             v.sort_by(f64::total_cmp);
             if v.is_empty() { 0.0 } else { v[((v.len() - 1) as f64 * q).round() as usize] }
         };
-        let (typical, coarse) = (quantile(&left_out, 0.95), quantile(&map.leave_one_out(2), 0.95));
-        let share = if coarse > 0.0 { (typical / coarse).clamp(SMOOTH_SHARE, 1.0) } else { 1.0 };
-        map.budget.interpolation = share * quantile(&left_out, 0.5);
+        let coarse = map.leave_one_out(2);
+        // the greatest errors may be curvature, which falls with the spacing, and the usual ones
+        // scatter of the switching, which does not: the worse of both is believed
+        let ratio = |q: f64| {
+            let (fine, coarse) = (quantile(&left_out, q), quantile(&coarse, q));
+            if coarse > 0.0 { (fine / coarse).clamp(SMOOTH_SHARE, 1.0) } else { 1.0 }
+        };
+        let typical = quantile(&left_out, 0.95);
+        let share = ratio(0.95).max(ratio(0.5));
+        map.budget.interpolation = share * quantile(&left_out, USUAL);
         // where the error is greater than that, the rest goes into the band of the grid points around
         let rows = map.zeta.len();
         let mut local = vec![0.0_f64; left_out.len()];

@@ -112,7 +112,7 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
         return Err(bad("rate [Hz]", m.rate_hz.to_string(), h.rate_hz.to_string()));
     }
     let d = (rest - h.rest_angle_rad + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
-    if d.abs() > maps::REST_ANGLE_STEP_RAD {
+    if d.abs() > maps::REST_ANGLE_TOLERANCE_RAD {
         let deg = |a: f64| format!("{:.2}", a.to_degrees());
         return Err(bad(
             "rotor angle at rest [deg]",

@@ -16,8 +16,11 @@ use sim_worker::simulate::Experiment;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Rest angles closer than this are one [rad] (0.1 degrees; P3 moves by less than 0.1 % over it).
-pub const REST_ANGLE_STEP_RAD: f64 = std::f64::consts::TAU / 3600.0;
+/// Saved maps serve rest angles that differ by no more than this [rad] (0.1 degrees).
+pub const REST_ANGLE_TOLERANCE_RAD: f64 = std::f64::consts::TAU / 3600.0;
+
+/// Rest angles come in counts of a 16 bit resolver.
+const COUNTS: f64 = 65_536.0;
 
 /// What maps are made for.
 #[derive(Clone, Debug)]
@@ -56,10 +59,10 @@ impl MapRequest {
     }
 }
 
-/// The nearest angle on the 0.1 degree grid, in `0..2 pi`.
+/// The nearest resolver count, in `0..2 pi`.
 pub fn rounded_rest_angle(angle_rad: f64) -> f64 {
-    let steps = (angle_rad / REST_ANGLE_STEP_RAD).round().rem_euclid(3600.0);
-    steps * REST_ANGLE_STEP_RAD
+    let count = std::f64::consts::TAU / COUNTS;
+    (angle_rad / count).round().rem_euclid(COUNTS) * count
 }
 
 /// Folder of cached maps: `EMA_CACHE_DIR`, else `XDG_CACHE_HOME/ema`, else `~/.cache/ema`.
@@ -201,7 +204,7 @@ pub fn build(
     let rest = match rest_angle_rad {
         Some(a) => *angles
             .iter()
-            .find(|&&x| (x - a).abs() < 0.5 * REST_ANGLE_STEP_RAD)
+            .find(|&&x| (x - a).abs() < 0.5 * REST_ANGLE_TOLERANCE_RAD)
             .ok_or_else(|| {
                 let list: Vec<String> = angles.iter().map(|a| format!("{:.1}", a.to_degrees())).collect();
                 Error::bad(
