@@ -1,7 +1,7 @@
 //! Features from telemetry, streaming: no I/O, all state inside, and the same bits whatever the
 //! size of the chunks (every sum runs sample by sample).
 
-use schemas::channel::Channel;
+use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::feature::RawFeatures;
 use schemas::sequence::{Command, TestSequence};
@@ -107,6 +107,17 @@ impl FeaturePlan {
             step_rad: step_rad.unwrap_or(0.0),
             monitor_a,
             equivalent_current,
+        }
+    }
+
+    /// The channels that the features are made from.
+    pub fn channels(&self) -> ChannelSet {
+        use Channel::{Com, IA, IB, IC, IEq, OmegaM, ThetaM};
+        let phases = ChannelSet::of([Com, ThetaM, OmegaM, IA, IB, IC]);
+        if self.equivalent_current {
+            phases.with(IEq)
+        } else {
+            phases
         }
     }
 

@@ -169,14 +169,22 @@ impl FailureMap {
         let quantile = |v: &[f64], q: f64| {
             let mut v: Vec<f64> = v.iter().copied().filter(|e| *e > 0.0).collect();
             v.sort_by(f64::total_cmp);
-            if v.is_empty() { 0.0 } else { v[((v.len() - 1) as f64 * q).round() as usize] }
+            if v.is_empty() {
+                0.0
+            } else {
+                v[((v.len() - 1) as f64 * q).round() as usize]
+            }
         };
         let coarse = map.leave_one_out(2);
         // the greatest errors may be curvature, which falls with the spacing, and the usual ones
         // scatter of the switching, which does not: the worse of both is believed
         let ratio = |q: f64| {
             let (fine, coarse) = (quantile(&left_out, q), quantile(&coarse, q));
-            if coarse > 0.0 { (fine / coarse).clamp(SMOOTH_SHARE, 1.0) } else { 1.0 }
+            if coarse > 0.0 {
+                (fine / coarse).clamp(SMOOTH_SHARE, 1.0)
+            } else {
+                1.0
+            }
         };
         let typical = quantile(&left_out, 0.95);
         let share = ratio(0.95).max(ratio(0.5));

@@ -141,11 +141,7 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     set.save(&dataset.join("maps.parquet"))?;
 
     // the cases: simulated noise free once, recorded through the sensors
-    let bare = Experiment {
-        sensors: None,
-        channels: channels.with(Channel::TorqueM),
-        ..experiment.clone()
-    };
+    let bare = experiment.bare(channels.with(Channel::TorqueM));
     let faults: Vec<FaultState> = TABLE_I
         .iter()
         .map(|&(zeta, fsj, _, _)| FaultState { fsj, zeta })

@@ -290,10 +290,14 @@ impl Store for DatasetStore<'_> {
                     _ => None,
                 },
                 measured: TelemetryBuffer::new(channels, 512),
-                features: self
-                    .plan
-                    .keep_features
-                    .then(|| FeatureSink::new(self.feature_plan.clone(), self.noise.clone(), gear_ratio, channels)),
+                features: self.plan.keep_features.then(|| {
+                    FeatureSink::new(
+                        self.feature_plan.clone(),
+                        self.noise.clone(),
+                        gear_ratio,
+                        self.feature_plan.channels(),
+                    )
+                }),
                 gear_ratio,
             })
         };
@@ -393,10 +397,11 @@ pub fn generate(plan: &Plan, dir: &Path, title: &str) -> Result<Option<u64>> {
     let total = list.iter().map(|b| b.runs.len() as u64).sum();
     let progress = Arc::new(Progress::default());
     // sensors are applied by the sinks, each with its own seeds
-    let bare = Experiment {
-        sensors: None,
-        ..e.clone()
-    };
+    let bare = e.bare(if plan.keep_telemetry {
+        e.channels
+    } else {
+        store.feature_plan.channels()
+    });
     let whole = crate::progress::with_bar(title, total, &progress, || work(&bare, &list, &store, &progress))?;
     Ok(whole.then(|| progress.steps.load(std::sync::atomic::Ordering::Relaxed)))
 }

@@ -228,7 +228,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             let (ia, ib) = (st.ia[l], st.ib[l]);
             let relay = |fold: f64, margin: f64| {
                 hysteresis::relay(
-                    commutation::phase_reference(fold, on.i_ref[l]),
+                    commutation::phase_reference::<ONE>(fold, on.i_ref[l]),
                     margin,
                     k.hb[at::<SAME>(l)],
                 )

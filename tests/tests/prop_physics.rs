@@ -107,6 +107,12 @@ fn prop_lane_count_and_instruction_set_change_no_bit() {
         for set in InstructionSet::available() {
             let basic = ChannelSet::basic();
             assert_eq!(bits::<16>(&lanes, &s, set, basic), truth, "16 lanes {}", set.name());
+            assert_eq!(
+                bits::<8>(&lanes[..7], &s, set, basic),
+                truth[..7],
+                "8 lanes {}",
+                set.name()
+            );
             assert_eq!(bits::<24>(&lanes, &s, set, basic), truth, "24 lanes {}", set.name());
             assert_eq!(
                 bits::<16>(&lanes, &s, set, all_channels()),

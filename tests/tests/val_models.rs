@@ -44,7 +44,13 @@ fn val_simplified_model_follows_the_bench() {
     }
 }
 
-type ReferenceMaps = (Arc<ActuatorParameters>, TestSequence, SensorModel, FailureMapSet, Arc<FeaturePlan>);
+type ReferenceMaps = (
+    Arc<ActuatorParameters>,
+    TestSequence,
+    SensorModel,
+    FailureMapSet,
+    Arc<FeaturePlan>,
+);
 
 /// Maps of the reference actuator on the fine grid, through the reference sensors.
 fn reference_maps(dir: &std::path::Path) -> ReferenceMaps {
@@ -75,7 +81,12 @@ fn one_diagnosis(
     seed: u64,
 ) -> Diagnosis {
     let noise = SensorNoise::new(seed, run.rows());
-    let s = Sensors { model: sensors, noise: &noise, gear_ratio: actuator.gear_ratio, rest_angle_rad: 0.0 };
+    let s = Sensors {
+        model: sensors,
+        noise: &noise,
+        gear_ratio: actuator.gear_ratio,
+        rest_angle_rad: 0.0,
+    };
     let mut out = TelemetryBuffer::new(ChannelSet::basic(), run.rows());
     s.measure(&run.view(), &mut out);
     let mut x = FeatureExtractor::new(plan.clone());
@@ -116,7 +127,12 @@ fn val_off_grid_pairs_lie_inside() {
     // Kronecker sequence of the plastic number: even over the square, the same every time
     let part = |k: usize, a: f64| (0.5 + a * (k + 1) as f64).fract();
     let faults: Vec<(f64, f64)> = (0..n)
-        .map(|k| (1.0 + 4.0 * part(k, 0.754_877_666_246_692_7), 0.5 * part(k, 0.569_840_290_998_053_2)))
+        .map(|k| {
+            (
+                1.0 + 4.0 * part(k, 0.754_877_666_246_692_7),
+                0.5 * part(k, 0.569_840_290_998_053_2),
+            )
+        })
         .collect();
     let runs = reference_runs(&faults, &sequence.name, 1e4);
     let (mut inside, mut quadrants) = (0, [[0; 2]; 4]);
@@ -127,7 +143,11 @@ fn val_off_grid_pairs_lie_inside() {
         let q = (fsj > 3.0) as usize + 2 * (zeta > 0.25) as usize;
         quadrants[q][1] += 1;
         let Some(a) = d.outcome.area() else {
-            println!("FSJ {fsj:.4} zeta {zeta:.4}: {} {}", d.outcome.name(), d.outcome.reason());
+            println!(
+                "FSJ {fsj:.4} zeta {zeta:.4}: {} {}",
+                d.outcome.name(),
+                d.outcome.reason()
+            );
             continue;
         };
         fsj_width.push(a.fsj.width());

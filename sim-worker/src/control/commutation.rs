@@ -9,8 +9,17 @@ use super::pick;
 ///   tops of the trapezoid are where it is beyond 1
 /// * `i_ref` current reference
 ///
-/// The half-open ends differ from the closed ones here at single angles only.
+/// `ONE`: see [`super::limit`]. The half-open ends differ from the closed ones here at single angles only.
 #[inline(always)]
-pub fn phase_reference(fold: f64, i_ref: f64) -> f64 {
+pub fn phase_reference<const ONE: bool>(fold: f64, i_ref: f64) -> f64 {
+    if ONE {
+        return if fold <= -1.0 {
+            -i_ref
+        } else if fold >= 1.0 {
+            i_ref
+        } else {
+            0.0
+        };
+    }
     pick(fold <= -1.0, -i_ref, pick(fold >= 1.0, i_ref, 0.0))
 }
