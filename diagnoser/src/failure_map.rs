@@ -4,11 +4,10 @@ use crate::isotonic::monotone_surface;
 use crate::monotone;
 use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Float64Type, Schema};
-use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use schemas::error::{Error, Result, temporary};
+use schemas::error::{Error, Result};
 use schemas::feature::{Feature, Features, RawFeatures};
-use schemas::recording::{Provenance, writer_properties};
+use schemas::recording::{Provenance, write_table};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -497,16 +496,8 @@ impl FailureMapSet {
         };
         let mut pairs = provenance.pairs();
         pairs.push(("ema.maps".into(), serde_json::to_string(&stored).expect("plain data")));
-        let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
-        let batch = RecordBatch::try_new(schema.clone(), columns).map_err(|e| torn(&e))?;
-        let tmp = temporary(path);
-        let file = std::fs::File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;
-        let mut w = ArrowWriter::try_new(file, schema.clone(), Some(writer_properties(&schema, pairs)))
-            .map_err(|e| torn(&e))?;
-        w.write(&batch).map_err(|e| torn(&e))?;
-        let file = w.into_inner().map_err(|e| torn(&e))?;
-        file.sync_all().map_err(|e| Error::io(path, "cannot be written", e))?;
-        std::fs::rename(&tmp, path).map_err(|e| Error::io(path, "cannot be renamed", e))
+        let batch = RecordBatch::try_new(schema, columns).map_err(|e| Error::torn(path, e))?;
+        write_table(path, &batch, pairs)
     }
 
     /// Loads a saved set; refuses another schema version, torn files and incomplete grids.

@@ -409,30 +409,7 @@ fn record(path: &Path, plan: &Plan, run: &Collector, seed: u64) -> Result<()> {
 
 fn case_section(title: &str, stem: &str, c: &case::Case, truth: Option<FaultState>) -> Section {
     let d = &c.diagnosis;
-    let at = d.outcome.area().map(|a| a.centroid);
-    let mut figures: Vec<(String, Figure)> = c
-        .maps
-        .maps
-        .iter()
-        .map(|m| {
-            let plot = report_pages::map_plot(m, d.features.get(m.feature), at);
-            (format!("{stem}_map_{}", m.feature.name()), Figure::Map(plot))
-        })
-        .collect();
-    figures.push((
-        format!("{stem}_region"),
-        Figure::Region(report_pages::region_plot(
-            "Bands in the plane of the faults",
-            &c.maps,
-            d,
-            truth,
-            false,
-        )),
-    ));
-    if d.outcome.area().is_some() {
-        let plot = report_pages::region_plot("Located area, enlarged", &c.maps, d, truth, true);
-        figures.push((format!("{stem}_area"), Figure::Region(plot)));
-    }
+    let figures = report_pages::case_figures(stem, &c.maps, d, truth);
     let text = match d.outcome.area() {
         Some(a) => format!(
             "{}: FSJ {:.4} in {:.4} to {:.4}, zeta {:.5} in {:.5} to {:.5}. {}",

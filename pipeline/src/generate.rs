@@ -3,20 +3,18 @@
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
 use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
-use parquet::arrow::ArrowWriter;
 use schemas::channel::ChannelSet;
-use schemas::error::{Error, Result, temporary};
+use schemas::error::{Error, Result};
 use schemas::fault::FaultGrid;
 use schemas::feature::RawFeatures;
 use schemas::fingerprint::{exact, fingerprint};
-use schemas::recording::{Provenance, Recorder, Recording, metadata, writer_properties};
+use schemas::recording::{Provenance, Recorder, Recording, metadata, write_table};
 use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::{SensorModel, SensorNoise, Sensors};
 use sim_worker::simulate::{Experiment, Run};
 use sim_worker::test_bench::Lane;
 use sim_worker::worker::{Block, Folder, Progress, Store, blocks, work};
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -346,16 +344,8 @@ fn write_features(path: &Path, provenance: &Provenance, rows: &[FeatureRow<'_>])
     for k in 0..4 {
         columns.push(numbers(&|(_, f)| f[k].0.map(|_| f[k].1)));
     }
-    let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
-    let batch = RecordBatch::try_new(schema.clone(), columns).map_err(|e| torn(&e))?;
-    let tmp = temporary(path);
-    let file = File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;
-    let properties = writer_properties(&schema, provenance.pairs());
-    let mut w = ArrowWriter::try_new(file, schema, Some(properties)).map_err(|e| torn(&e))?;
-    w.write(&batch).map_err(|e| torn(&e))?;
-    let file = w.into_inner().map_err(|e| torn(&e))?;
-    file.sync_all().map_err(|e| Error::io(path, "cannot be written", e))?;
-    std::fs::rename(&tmp, path).map_err(|e| Error::io(path, "cannot be renamed", e))
+    let batch = RecordBatch::try_new(schema, columns).map_err(|e| Error::torn(path, e))?;
+    write_table(path, &batch, provenance.pairs())
 }
 
 /// Works through a plan into `dir`. `Ok(None)` where it was interrupted; the steps made otherwise.

@@ -115,6 +115,36 @@ pub fn region_plot(
     }
 }
 
+/// Everything that shows one diagnosis: maps with their cuts, bands in the plane of the faults, the
+/// located area enlarged. File stems begin with `stem`.
+pub fn case_figures(
+    stem: &str,
+    set: &FailureMapSet,
+    d: &Diagnosis,
+    truth: Option<FaultState>,
+) -> Vec<(String, Figure)> {
+    let at = d.outcome.area().map(|a| a.centroid);
+    let mut figures: Vec<(String, Figure)> = set
+        .maps
+        .iter()
+        .map(|m| {
+            let plot = map_plot(m, d.features.get(m.feature), at);
+            (format!("{stem}_map_{}", m.feature.name()), Figure::Map(plot))
+        })
+        .collect();
+    let mut region = |name: &str, title: &str, zoom: bool| {
+        figures.push((
+            format!("{stem}_{name}"),
+            Figure::Region(region_plot(title, set, d, truth, zoom)),
+        ));
+    };
+    region("region", "Bands in the plane of the faults", false);
+    if d.outcome.area().is_some() {
+        region("area", "Located area, enlarged", true);
+    }
+    figures
+}
+
 /// Telemetry against time.
 pub fn traces(title: &str, label: &str, runs: &[(&str, &Collector)], rate_hz: f64, channel: Channel) -> TracePlot {
     let series = runs

@@ -125,6 +125,18 @@ pub fn writer_properties(schema: &Schema, pairs: Vec<(String, String)>) -> Write
     b.build()
 }
 
+/// Writes a whole table under a temporary name and renames it: it is visible complete or not at all.
+pub fn write_table(path: &Path, batch: &RecordBatch, pairs: Vec<(String, String)>) -> Result<()> {
+    let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
+    let schema = batch.schema();
+    let mut bytes = Vec::new();
+    let properties = writer_properties(&schema, pairs);
+    let mut w = ArrowWriter::try_new(&mut bytes, schema, Some(properties)).map_err(|e| torn(&e))?;
+    w.write(batch).map_err(|e| torn(&e))?;
+    w.close().map_err(|e| torn(&e))?;
+    crate::error::write_whole(path, &bytes)
+}
+
 /// Writes runs into one Parquet file, a row group a run. The file appears under its name only
 /// when [`Recorder::finish`] has written all of it.
 pub struct Recorder {

@@ -2,7 +2,7 @@
 
 use super::{ActuatorArg, EXIT_LOSS, say};
 use crate::case::{self, Settings};
-use crate::report::{self, Figure, Report, Section};
+use crate::report::{self, Report, Section};
 use crate::report_pages;
 use anyhow::Result;
 use clap::Args;
@@ -56,26 +56,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     }
     if let Some(dir) = &a.plot {
         let d = &case.diagnosis;
-        let at = d.outcome.area().map(|a| a.centroid);
-        let mut figures: Vec<(String, Figure)> = case
-            .maps
-            .maps
-            .iter()
-            .map(|m| {
-                let plot = report_pages::map_plot(m, d.features.get(m.feature), at);
-                (format!("map_{}", m.feature.name()), Figure::Map(plot))
-            })
-            .collect();
-        for (zoom, title) in [(false, "Bands in the plane of the faults"), (true, "Located area")] {
-            if zoom && d.outcome.area().is_none() {
-                continue;
-            }
-            let plot = report_pages::region_plot(title, &case.maps, d, None, zoom);
-            figures.push((
-                format!("region{}", if zoom { "_zoom" } else { "" }),
-                Figure::Region(plot),
-            ));
-        }
+        let figures = report_pages::case_figures("diagnosis", &case.maps, d, None);
         let section = Section {
             title: "Diagnosis".into(),
             text: case::to_text(&case),
