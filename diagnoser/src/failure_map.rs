@@ -295,25 +295,33 @@ impl FailureMap {
         SIGMAS * b.noise + b.interpolation + b.sample
     }
 
-    /// Half-width of the band at a fault pair, in the feature's unit.
-    pub fn half_width(&self, fsj: f64, zeta: f64) -> f64 {
-        let (r, c) = (monotone::piece(&self.zeta, zeta), monotone::piece(&self.fsj, fsj));
-        let columns = self.fsj.len();
-        let corners = [(r, c), (r, c + 1), (r + 1, c), (r + 1, c + 1)];
-        self.base()
-            + corners
-                .iter()
-                .fold(0.0_f64, |m, (r, c)| m.max(self.margin[r * columns + c]))
+    /// Margins of the FSJ grid points at `zeta`: straight between the rows, whose margins already
+    /// reach over their neighbours.
+    fn margins(&self, zeta: f64) -> Vec<f64> {
+        let n = self.fsj.len();
+        let zeta = zeta.clamp(self.zeta[0], self.zeta[self.zeta.len() - 1]);
+        let r = monotone::piece(&self.zeta, zeta);
+        let s = (zeta - self.zeta[r]) / (self.zeta[r + 1] - self.zeta[r]);
+        (r * n..(r + 1) * n)
+            .map(|i| (1.0 - s) * self.margin[i] + s * self.margin[i + n])
+            .collect()
     }
 
-    /// The curve at `zeta` with its band, the margins of both neighbouring rows taken in.
+    /// Half-width of the band at a fault pair, in the feature's unit.
+    pub fn half_width(&self, fsj: f64, zeta: f64) -> f64 {
+        let c = monotone::piece(&self.fsj, fsj);
+        let m = self.margins(zeta);
+        self.base() + m[c].max(m[c + 1])
+    }
+
+    /// The curve at `zeta` with its band.
     pub fn band(&self, zeta: f64) -> BandCurve {
         let c = self.curve(zeta);
-        let r = monotone::piece(&self.zeta, zeta.clamp(self.zeta[0], self.zeta[self.zeta.len() - 1]));
         let n = self.fsj.len();
-        let h = |k: usize| self.base() + self.margin[r * n + k].max(self.margin[(r + 1) * n + k]);
-        let mut low: Vec<f64> = (0..n).map(|k| c.y[k] - h(k)).collect();
-        let mut high: Vec<f64> = (0..n).map(|k| c.y[k] + h(k)).collect();
+        let base = self.base();
+        let h: Vec<f64> = self.margins(zeta).iter().map(|m| base + m).collect();
+        let mut low: Vec<f64> = (0..n).map(|k| c.y[k] - h[k]).collect();
+        let mut high: Vec<f64> = (0..n).map(|k| c.y[k] + h[k]).collect();
         // made monotone by giving way outwards
         for k in (0..n - 1).rev() {
             low[k] = low[k].min(low[k + 1]);
