@@ -98,8 +98,10 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
     assert!(o.status.success(), "{}", String::from_utf8_lossy(&o.stderr));
     let mut kills = 0;
     for wait in [150, 320, 240, 410, 90, 350, 280, 500] {
+        // one thread: slow enough to be killed on any machine
         let mut child = ema(&cache())
             .args(args(&killed))
+            .args(["--jobs", "1"])
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
@@ -185,7 +187,17 @@ fn e2e_ctrl_c_leaves_things_clean() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("d");
     let child = ema(&cache())
-        .args(["simulate", "--grid", "fine", "--keep", "features", "--out", text(&out)])
+        .args([
+            "simulate",
+            "--grid",
+            "fine",
+            "--keep",
+            "features",
+            "--jobs",
+            "1",
+            "--out",
+            text(&out),
+        ])
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()
