@@ -143,7 +143,6 @@ pub struct Progress {
 #[derive(Clone, Debug)]
 pub struct FeatureExtractor {
     plan: Arc<FeaturePlan>,
-    next: u64,
     rest_rad: Option<f64>,
     // regime: sums of the user speed less its first value there
     regime_seen: u64,
@@ -162,7 +161,6 @@ impl FeatureExtractor {
     pub fn new(plan: Arc<FeaturePlan>) -> Self {
         Self {
             plan,
-            next: 1,
             rest_rad: None,
             regime_seen: 0,
             shift: 0.0,
@@ -184,7 +182,6 @@ impl FeatureExtractor {
         if view.rows == 0 {
             return;
         }
-        self.next = view.first + view.rows as u64;
         let theta = view.column(Channel::ThetaM);
         if self.rest_rad.is_none() && view.first == 1 {
             self.rest_rad = theta.map(|t| t[0]);
@@ -243,11 +240,6 @@ impl FeatureExtractor {
             p(self.plan.sine, self.sine_seen),
             p(self.plan.ramp, self.ramp_seen),
         ]
-    }
-
-    /// Number of the next sample.
-    pub fn next_sample(&self) -> u64 {
-        self.next
     }
 
     /// What has been measured; a feature whose window is not complete is `None`.

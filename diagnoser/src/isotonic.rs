@@ -25,6 +25,30 @@ fn rising(v: &mut [f64]) {
     }
 }
 
+/// One half of the alternation: projects every line `at(line, 0..n)` of `x` plus its correction onto
+/// the sequences that rise (`direction` 1) or fall (-1), and keeps what was taken off.
+fn project(
+    x: &mut [f64],
+    correction: &mut [f64],
+    direction: f64,
+    lines: usize,
+    n: usize,
+    at: impl Fn(usize, usize) -> usize,
+) {
+    let mut values = Vec::with_capacity(n);
+    for line in 0..lines {
+        values.clear();
+        values.extend((0..n).map(|k| direction * (x[at(line, k)] + correction[at(line, k)])));
+        rising(&mut values);
+        for (k, v) in values.iter().enumerate() {
+            let i = at(line, k);
+            let y = direction * v;
+            correction[i] += x[i] - y;
+            x[i] = y;
+        }
+    }
+}
+
 /// The nearest surface that rises (`+1`) or falls (`-1`) along each axis.
 ///
 /// * `z` row-major values, `rows` rows (zeta) of `columns` (FSJ)
@@ -35,33 +59,10 @@ pub fn monotone_surface(z: &[f64], rows: usize, columns: usize, direction: (f64,
     let mut p = vec![0.0; z.len()];
     let mut q = vec![0.0; z.len()];
     let scale = z.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    let mut line = Vec::new();
     for _ in 0..500 {
         let before = x.clone();
-        // along FSJ
-        for r in 0..rows {
-            line.clear();
-            line.extend((0..columns).map(|c| dc * (x[r * columns + c] + p[r * columns + c])));
-            rising(&mut line);
-            for c in 0..columns {
-                let i = r * columns + c;
-                let y = dc * line[c];
-                p[i] += x[i] - y;
-                x[i] = y;
-            }
-        }
-        // along zeta
-        for c in 0..columns {
-            line.clear();
-            line.extend((0..rows).map(|r| dr * (x[r * columns + c] + q[r * columns + c])));
-            rising(&mut line);
-            for r in 0..rows {
-                let i = r * columns + c;
-                let y = dr * line[r];
-                q[i] += x[i] - y;
-                x[i] = y;
-            }
-        }
+        project(&mut x, &mut p, dc, rows, columns, |r, c| r * columns + c);
+        project(&mut x, &mut q, dr, columns, rows, |c, r| r * columns + c);
         let change = x.iter().zip(&before).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs()));
         if change <= 1e-15 * scale {
             break;

@@ -132,6 +132,19 @@ struct Noise {
     seeds: Vec<SensorNoise>,
 }
 
+impl Noise {
+    /// The sensors of the run that `header` describes, with the noise of one seed.
+    fn sensors<'a>(&'a self, noise: &'a SensorNoise, header: &TelemetryHeader, gear_ratio: f64) -> Sensors<'a> {
+        let rest_angle_rad = header.rest_angle_rad.unwrap_or(0.0);
+        Sensors {
+            model: &self.model,
+            noise,
+            gear_ratio,
+            rest_angle_rad,
+        }
+    }
+}
+
 /// Features of one run, averaged over noise seeds.
 struct FeatureSink {
     plan: Arc<FeaturePlan>,
@@ -162,14 +175,9 @@ impl FeatureSink {
             return;
         }
         for (seed, x) in noise.seeds.iter().zip(&mut self.extractors) {
-            let rest_angle_rad = header.rest_angle_rad.unwrap_or(0.0);
-            let sensors = Sensors {
-                model: &noise.model,
-                noise: seed,
-                gear_ratio: self.gear_ratio,
-                rest_angle_rad,
-            };
-            sensors.measure(view, &mut self.measured);
+            noise
+                .sensors(seed, header, self.gear_ratio)
+                .measure(view, &mut self.measured);
             x.push(&self.measured.view());
         }
     }
@@ -209,14 +217,9 @@ impl TelemetrySink for RunSink {
         }
         if let Some(r) = &mut self.recorder {
             if let Some((noise, seed)) = &self.noise {
-                let rest_angle_rad = header.rest_angle_rad.unwrap_or(0.0);
-                let s = Sensors {
-                    model: &noise.model,
-                    noise: seed,
-                    gear_ratio: self.gear_ratio,
-                    rest_angle_rad,
-                };
-                s.measure(view, &mut self.measured);
+                noise
+                    .sensors(seed, header, self.gear_ratio)
+                    .measure(view, &mut self.measured);
                 r.accept(header, &self.measured.view())?;
             } else {
                 r.accept(header, view)?;

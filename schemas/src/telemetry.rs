@@ -83,14 +83,6 @@ impl TelemetryBuffer {
             columns: channels.iter().map(|c| (c, Vec::with_capacity(capacity))).collect(),
         }
     }
-    /// Appends one row; `value` gives the sample of each channel.
-    #[inline]
-    pub fn push(&mut self, mut value: impl FnMut(Channel) -> f64) {
-        for (c, v) in &mut self.columns {
-            v.push(value(*c));
-        }
-        self.rows += 1;
-    }
     pub fn view(&self) -> TelemetryView<'_> {
         let mut v = TelemetryView::new(self.first, self.rows);
         for (c, values) in &self.columns {
@@ -109,14 +101,6 @@ impl TelemetryBuffer {
             .iter()
             .find(|(c, _)| *c == channel)
             .map(|(_, v)| v.as_slice())
-    }
-    /// Starts the next block after this one.
-    pub fn advance(&mut self) {
-        self.first += self.rows as u64;
-        self.rows = 0;
-        for (_, v) in &mut self.columns {
-            v.clear();
-        }
     }
     /// Copies a view.
     pub fn copy_from(&mut self, view: &TelemetryView<'_>) {

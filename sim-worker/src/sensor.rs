@@ -91,14 +91,6 @@ impl SensorNoise {
             .collect();
         Self { offset, rows }
     }
-
-    pub fn len(&self) -> usize {
-        self.rows.len()
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
-    }
 }
 
 /// A sensor model on one run.

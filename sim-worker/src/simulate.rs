@@ -23,8 +23,8 @@ pub struct Experiment {
     pub rate_hz: f64,
     pub channels: ChannelSet,
     pub sensors: Option<SensorModel>,
-    /// commands of all steps, worked out once for all runs
-    commands: OnceLock<Vec<f64>>,
+    /// step and the commands of all steps, worked out once for all runs of that step
+    commands: OnceLock<(f64, Vec<f64>)>,
 }
 
 /// Longest sequence whose commands are kept [steps]: 32 MB.
@@ -153,18 +153,19 @@ pub fn simulate_lanes<const N: usize, S: TelemetrySink>(
     let mut measured = TelemetryBuffer::new(experiment.channels, BLOCK_ROWS);
     let mut own = Vec::new();
     let steps = (rows as f64 / (experiment.rate_hz * dt)).round() as u64;
-    let kept = (steps <= KEPT_COMMANDS).then(|| {
-        experiment.commands.get_or_init(|| {
-            let mut all = vec![0.0; steps as usize];
-            track.fill(0, &mut all);
-            all
-        })
-    });
+    let keep = || {
+        let mut all = vec![0.0; steps as usize];
+        track.fill(0, &mut all);
+        (dt, all)
+    };
+    let kept = (steps <= KEPT_COMMANDS)
+        .then(|| experiment.commands.get_or_init(keep))
+        .filter(|(step, _)| *step == dt);
     for row in 1..=rows {
         // sample `row` is of the interval that ends at row / rate
         let end = (row as f64 / (experiment.rate_hz * dt)).round() as u64;
         let com = match kept {
-            Some(all) => &all[bench.step() as usize..end as usize],
+            Some((_, all)) => &all[bench.step() as usize..end as usize],
             None => {
                 own.resize((end - bench.step()) as usize, 0.0);
                 track.fill(bench.step(), &mut own);
