@@ -110,6 +110,11 @@ impl FeaturePlan {
         }
     }
 
+    /// P2 from i_eq, for telemetry without phase currents.
+    pub fn equivalent_current(&self) -> bool {
+        self.equivalent_current
+    }
+
     /// The channels that the features are made from.
     pub fn channels(&self) -> ChannelSet {
         use Channel::{Com, IA, IB, IC, IEq, OmegaM, ThetaM};
@@ -224,12 +229,30 @@ impl FeatureExtractor {
         }
         if let (Some(w), Some(theta), Some(com)) = (self.plan.ramp, theta, view.column(Channel::Com)) {
             let rows = w.rows(view);
+            // after a gap the first sample off rest is not the break-away
+            let unbroken = view.first + rows.start as u64 == w.from + self.ramp_seen;
             self.ramp_seen += rows.len() as u64;
-            if let (None, Some(rest)) = (self.breakaway_rad, self.rest_rad) {
+            if let (None, Some(rest), true) = (self.breakaway_rad, self.rest_rad, unbroken) {
                 let limit = BREAKAWAY_COUNTS * std::f64::consts::TAU / (1u64 << RESOLVER_BITS) as f64;
                 self.breakaway_rad = rows.clone().find(|&i| (theta[i] - rest).abs() > limit).map(|i| com[i]);
             }
         }
+    }
+
+    /// Motor angle at sample 1, once it has come [rad].
+    pub fn rest_angle_rad(&self) -> Option<f64> {
+        self.rest_rad
+    }
+
+    /// Whether nothing that comes can add to the features.
+    pub fn is_complete(&self) -> bool {
+        self.progress().iter().flatten().all(|p| p.seen >= p.wanted)
+    }
+
+    /// Number of features measured so far.
+    pub fn count(&self) -> usize {
+        let f = self.features();
+        [f.mean_speed_rad_per_s, f.p2_a, f.p3_rad].iter().flatten().count()
     }
 
     /// Samples seen and wanted for each window: step, sine, ramp.

@@ -1,7 +1,16 @@
-//! What flies: features from telemetry, failure maps, and their inversion to fault intervals.
+//! What flies: features from telemetry, failure maps, and their inversion to fault intervals, live
+//! or of a recording.
+pub mod cli;
 pub mod diagnosis;
 pub mod extractor;
 pub mod failure_map;
 pub mod isotonic;
+pub mod live;
+pub mod log;
+pub mod map_library;
 pub mod monotone;
+pub mod receive;
+pub mod record;
+pub mod report;
 pub mod sensitivity;
+pub mod view;

@@ -6,12 +6,13 @@ use anyhow::Result;
 use diagnoser::diagnosis::{COVERAGE, Diagnosis, Outcome, diagnose};
 use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
 use diagnoser::failure_map::FailureMapSet;
+use diagnoser::live::LOWEST_RATE_HZ;
+use diagnoser::map_library;
 use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
 use schemas::feature::{Feature, RawFeatures};
 use schemas::sequence::TestSequence;
-use serde_json::{Value, json};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;
 use std::path::{Path, PathBuf};
@@ -46,7 +47,8 @@ pub fn extract(m: &Measured, plan: Arc<FeaturePlan>) -> FeatureExtractor {
     x
 }
 
-fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> {
+/// The sensor model of a recording: named, said by the file, or recognised from its values.
+pub fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> {
     if settings.sensors != "auto" {
         return Ok(sim_worker::datasets::sensors(&settings.sensors)?);
     }
@@ -77,7 +79,7 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
             sequence: sequence.clone(),
             rate_hz: m.rate_hz,
             sensors: sensors_of(path, m, s)?,
-            rest_angle_rad: maps::rounded_rest_angle(rest),
+            rest_angle_rad: map_library::rounded_rest_angle(rest),
             equivalent_current,
             grid: s.grid.clone(),
         });
@@ -112,7 +114,7 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
         return Err(bad("rate [Hz]", m.rate_hz.to_string(), h.rate_hz.to_string()));
     }
     let d = (rest - h.rest_angle_rad + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
-    if d.abs() > maps::REST_ANGLE_TOLERANCE_RAD {
+    if d.abs() > map_library::REST_ANGLE_TOLERANCE_RAD {
         let deg = |a: f64| format!("{:.2}", a.to_degrees());
         return Err(bad(
             "rotor angle at rest [deg]",
@@ -140,8 +142,8 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
 /// Diagnoses a telemetry file.
 pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
     let measured = input::open(path, settings.run)?;
-    if measured.rate_hz < input::LOWEST_RATE_HZ * (1.0 - 1e-6) {
-        let allowed = format!("a steady rate of at least {} Hz", input::LOWEST_RATE_HZ);
+    if measured.rate_hz < LOWEST_RATE_HZ * (1.0 - 1e-6) {
+        let allowed = format!("a steady rate of at least {} Hz", LOWEST_RATE_HZ);
         return Err(Error::bad(path.display().to_string(), "rate [Hz]", measured.rate_hz, allowed).into());
     }
     let a = &settings.actuator;
@@ -187,33 +189,6 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         raw,
         diagnosis,
         maps,
-    })
-}
-
-/// The diagnosis as JSON, keys of the interface.
-pub fn to_json(d: &Diagnosis) -> Value {
-    let interval = |lo: Option<f64>, hi: Option<f64>, e: Option<f64>| json!({"lo": lo, "hi": hi, "estimate": e});
-    let area = d.outcome.area();
-    let contradicting: Vec<&str> = match &d.outcome {
-        Outcome::Unexplained { contradicting, .. } => contradicting.iter().map(|f| f.name()).collect(),
-        _ => Vec::new(),
-    };
-    let f = &d.features;
-    json!({
-        "outcome": d.outcome.name(),
-        "fsj": interval(area.map(|a| a.fsj.lo), area.map(|a| a.fsj.hi), area.map(|a| a.centroid.0)),
-        "zeta": interval(area.map(|a| a.zeta.lo), area.map(|a| a.zeta.hi), area.map(|a| a.centroid.1)),
-        "area": area.map(|a| a.size),
-        "coverage": COVERAGE,
-        "features": {
-            "p1_rad_per_s": f.p1_rad_per_s,
-            "p2_a": f.p2_a,
-            "p3": f.p3,
-            "p3_rad": f.p3_rad,
-            "ripple_rad_per_s": f.ripple_rad_per_s,
-        },
-        "contradicting": contradicting,
-        "reason": d.outcome.reason(),
     })
 }
 

@@ -10,9 +10,6 @@ use sim_worker::sensor::SensorModel;
 use std::io::Read;
 use std::path::Path;
 
-/// Lowest telemetry rate that a diagnosis takes [Hz].
-pub const LOWEST_RATE_HZ: f64 = 1000.0;
-
 /// Largest deviation of a time stamp from a steady rate, as a share of the period.
 const JITTER: f64 = 0.05;
 
@@ -29,8 +26,34 @@ pub struct Measured {
     pub load_n_m: Option<f64>,
 }
 
-/// Opens a `.parquet` or `.csv` file; `run` chooses one of several in a Parquet file.
-pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
+/// The runs of a file: their numbers, or `None` for the one of a CSV file.
+pub fn runs(path: &Path) -> Result<Vec<Option<u64>>> {
+    #[derive(Default)]
+    struct Numbers(Vec<Option<u64>>);
+    impl TelemetrySink for Numbers {
+        fn accept(
+            &mut self,
+            header: &TelemetryHeader,
+            _: &schemas::telemetry::TelemetryView<'_>,
+        ) -> schemas::error::Result<()> {
+            if self.0.last() != Some(&Some(header.run)) {
+                self.0.push(Some(header.run));
+            }
+            Ok(())
+        }
+    }
+    if !is_parquet(path)? {
+        return Ok(vec![None]);
+    }
+    let mut numbers = Numbers::default();
+    schemas::recording::Recording::open(path)?.replay(65_536, &mut numbers)?;
+    if numbers.0.is_empty() {
+        return Err(Error::bad(path.display().to_string(), "file", "no rows", "at least one run").into());
+    }
+    Ok(numbers.0)
+}
+
+fn is_parquet(path: &Path) -> Result<bool> {
     let mut magic = [0; 4];
     let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
     let n = file
@@ -39,8 +62,12 @@ pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
     if n == 0 {
         return Err(Error::torn(path, "empty file (0 bytes); allowed: a Parquet or CSV telemetry file").into());
     }
-    let parquet = &magic == b"PAR1" || path.extension().is_some_and(|e| e == "parquet");
-    let m = if parquet {
+    Ok(&magic == b"PAR1" || path.extension().is_some_and(|e| e == "parquet"))
+}
+
+/// Opens a `.parquet` or `.csv` file; `run` chooses one of several in a Parquet file.
+pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
+    let m = if is_parquet(path)? {
         open_parquet(path, run)?
     } else {
         open_csv(path)?

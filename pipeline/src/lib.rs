@@ -1,4 +1,5 @@
 //! The ground side: datasets, maps, diagnoses of recordings, queries, reports, and the program `ema`.
+pub mod bench_live;
 pub mod case;
 pub mod cli;
 pub mod demo;
@@ -8,6 +9,7 @@ pub mod maps;
 pub mod output;
 pub mod progress;
 pub mod query;
+pub mod replay;
 pub mod report;
 pub mod report_pages;
 pub mod speed;

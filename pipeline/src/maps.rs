@@ -1,8 +1,10 @@
 //! The map builder: features of a dataset, read with polars, become failure maps.
 
 use crate::generate::{Plan, generate};
+use crate::progress::note;
 use anyhow::Result;
 use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
+use diagnoser::map_library::REST_ANGLE_TOLERANCE_RAD;
 use polars::prelude::*;
 use schemas::channel::ChannelSet;
 use schemas::error::Error;
@@ -15,12 +17,6 @@ use sim_worker::sensor::SensorModel;
 use sim_worker::simulate::Experiment;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// Saved maps serve rest angles that differ by no more than this [rad] (0.1 degrees).
-pub const REST_ANGLE_TOLERANCE_RAD: f64 = std::f64::consts::TAU / 3600.0;
-
-/// Rest angles come in counts of a 16 bit resolver.
-const COUNTS: f64 = 65_536.0;
 
 /// What maps are made for.
 #[derive(Clone, Debug)]
@@ -59,12 +55,6 @@ impl MapRequest {
     }
 }
 
-/// The nearest resolver count, in `0..2 pi`.
-pub fn rounded_rest_angle(angle_rad: f64) -> f64 {
-    let count = std::f64::consts::TAU / COUNTS;
-    (angle_rad / count).round().rem_euclid(COUNTS) * count
-}
-
 /// Folder of cached maps: `EMA_CACHE_DIR`, else `XDG_CACHE_HOME/ema`, else `~/.cache/ema`.
 pub fn cache_dir() -> PathBuf {
     let var = |k: &str| std::env::var_os(k).filter(|v| !v.is_empty()).map(PathBuf::from);
@@ -87,7 +77,7 @@ pub fn made(dir: &Path, request: &MapRequest) -> Result<FailureMapSet> {
         return Ok(set);
     }
     let n = plan.runs().len();
-    eprintln!("making failure maps ({n} runs, kept in {})", dir.display());
+    note(&format!("making failure maps ({n} runs, kept in {})", dir.display()));
     loop {
         match generate(&plan, dir, "maps") {
             Ok(Some(_)) => break,
@@ -111,7 +101,7 @@ pub fn made(dir: &Path, request: &MapRequest) -> Result<FailureMapSet> {
         true,
     )?;
     for l in &set.header.left_out {
-        eprintln!("left out: {l}");
+        note(&format!("left out: {l}"));
     }
     set.save(&file)?;
     Ok(set)

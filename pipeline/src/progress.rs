@@ -2,11 +2,29 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 use sim_worker::worker::Progress;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+static INTERRUPTED: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
+static QUIET: AtomicBool = AtomicBool::new(false);
+
+/// No bars and notes on standard error from now on: the terminal is used otherwise.
+pub fn be_quiet() {
+    QUIET.store(true, Ordering::Relaxed);
+}
+
+/// A line on standard error, unless quiet.
+pub fn note(text: &str) {
+    if !QUIET.load(Ordering::Relaxed) {
+        eprintln!("{text}");
+    }
+}
+
+/// Set when Ctrl-C was pressed.
+pub fn interrupt_flag() -> Arc<AtomicBool> {
+    INTERRUPTED.clone()
+}
 
 /// From now on Ctrl-C (and SIGTERM) asks long work to stop at the next chance; a second one ends
 /// the process at once.
@@ -26,7 +44,11 @@ pub fn interrupted() -> bool {
 /// Runs `work` with a bar of `total` runs on standard error (none where that is no terminal),
 /// showing rate and time left, and passes Ctrl-C on to it.
 pub fn with_bar<T>(title: &str, total: u64, progress: &Arc<Progress>, work: impl FnOnce() -> T) -> T {
-    let bar = ProgressBar::new(total);
+    let bar = if QUIET.load(Ordering::Relaxed) {
+        ProgressBar::hidden()
+    } else {
+        ProgressBar::new(total)
+    };
     let style = "{msg} [{bar:30}] {pos}/{len} runs, {per_sec}, {eta} left";
     bar.set_style(
         ProgressStyle::with_template(style)

@@ -21,12 +21,34 @@ pub enum Error {
         what: &'static str,
         why: String,
     },
+    /// Shared memory or a network refused.
+    #[error("{service}: {why}")]
+    Stream { service: String, why: String },
     /// A file that is not what its name says.
     #[error("{file}: {why}")]
     Torn { file: String, why: String },
 }
 
+/// Exit code: finished, but something is missing (an incomplete diagnosis, lost frames).
+pub const EXIT_LOSS: u8 = 3;
+/// Exit code: a file or value that is not allowed.
+pub const EXIT_BAD_INPUT: u8 = 4;
+/// Exit code: stopped by Ctrl-C or SIGTERM.
+pub const EXIT_INTERRUPTED: u8 = 130;
+
 impl Error {
+    /// The exit code that stands for the error.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Bad { .. } | Self::Torn { .. } => EXIT_BAD_INPUT,
+            Self::Io {
+                what: "cannot be read" | "is in use",
+                ..
+            } => EXIT_BAD_INPUT,
+            _ => 1,
+        }
+    }
+
     pub fn bad(
         file: impl Into<String>,
         place: impl Into<String>,
@@ -57,7 +79,7 @@ impl Error {
     }
 }
 
-pub type Result<T> = std::result::Result<T, Error>;
+pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Writes `bytes` under a temporary name beside `path` and renames it: a reader sees the whole
 /// file or none.

@@ -7,6 +7,7 @@ pub mod feature;
 pub mod fingerprint;
 pub mod recording;
 pub mod sequence;
+pub mod stream;
 pub mod telemetry;
 pub mod toml_section;
 

@@ -67,6 +67,65 @@ impl<'a> TelemetryView<'a> {
     }
 }
 
+/// Columns of a block of samples that a producer fills in place, whatever memory they lie in.
+#[derive(Debug)]
+pub struct TelemetryViewMut<'a> {
+    /// number of the first sample
+    pub first: u64,
+    pub rows: usize,
+    columns: [Option<&'a mut [f64]>; Channel::COUNT],
+}
+
+impl<'a> TelemetryViewMut<'a> {
+    pub fn new(first: u64, rows: usize) -> Self {
+        Self {
+            first,
+            rows,
+            columns: std::array::from_fn(|_| None),
+        }
+    }
+
+    /// Adds a column of `rows` values.
+    ///
+    /// # Panics
+    /// If the column's length is not `rows`: a bug of the caller.
+    pub fn with(mut self, channel: Channel, values: &'a mut [f64]) -> Self {
+        assert_eq!(values.len(), self.rows, "column {} of another length", channel.name());
+        self.columns[channel as usize] = Some(values);
+        self
+    }
+
+    pub fn column(&self, channel: Channel) -> Option<&[f64]> {
+        self.columns[channel as usize].as_deref()
+    }
+
+    pub fn column_mut(&mut self, channel: Channel) -> Option<&mut [f64]> {
+        self.columns[channel as usize].as_deref_mut()
+    }
+
+    /// Takes a column out, so that it can be written while others are read.
+    pub fn take(&mut self, channel: Channel) -> Option<&'a mut [f64]> {
+        self.columns[channel as usize].take()
+    }
+
+    /// Puts a column back that was taken out.
+    pub fn put(&mut self, channel: Channel, values: Option<&'a mut [f64]>) {
+        self.columns[channel as usize] = values;
+    }
+
+    /// Copies the columns that both have; the others become NaN.
+    pub fn copy_from(&mut self, view: &TelemetryView<'_>) {
+        self.first = view.first;
+        for (to, from) in self.columns.iter_mut().zip(&view.columns) {
+            match (to, from) {
+                (Some(to), Some(from)) => to.copy_from_slice(from),
+                (Some(to), None) => to.fill(f64::NAN),
+                _ => {}
+            }
+        }
+    }
+}
+
 /// Owned columns that a producer fills and lends as a view.
 #[derive(Clone, Debug, Default)]
 pub struct TelemetryBuffer {
@@ -86,6 +145,17 @@ impl TelemetryBuffer {
     pub fn view(&self) -> TelemetryView<'_> {
         let mut v = TelemetryView::new(self.first, self.rows);
         for (c, values) in &self.columns {
+            v = v.with(*c, values);
+        }
+        v
+    }
+    /// Room for `rows` samples from number `first` on, to be filled.
+    pub fn view_mut(&mut self, first: u64, rows: usize) -> TelemetryViewMut<'_> {
+        self.first = first;
+        self.rows = rows;
+        let mut v = TelemetryViewMut::new(first, rows);
+        for (c, values) in &mut self.columns {
+            values.resize(rows, 0.0);
             v = v.with(*c, values);
         }
         v

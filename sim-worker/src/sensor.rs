@@ -7,7 +7,7 @@ use rand_distr::StandardNormal;
 use schemas::channel::Channel;
 use schemas::error::Result;
 use schemas::fingerprint::{exact, fingerprint};
-use schemas::telemetry::{TelemetryBuffer, TelemetryView};
+use schemas::telemetry::{TelemetryBuffer, TelemetryView, TelemetryViewMut};
 use schemas::toml_section::Section;
 use std::f64::consts::TAU;
 
@@ -103,32 +103,37 @@ pub struct Sensors<'a> {
 }
 
 impl Sensors<'_> {
-    /// Measures `view` into `out`: positions in resolver counts (the user position from the motor's
-    /// through the gear), speed and phase currents with noise, currents in counts, the equivalent
-    /// current from the measured phases. Every value is rounded to f32, those of channels that the
-    /// model does not name too.
+    /// Measures `view` into `out`.
     pub fn measure(&self, view: &TelemetryView<'_>, out: &mut TelemetryBuffer) {
+        out.copy_from(view);
+        self.apply(&mut out.view_mut(view.first, view.rows));
+    }
+
+    /// Turns true values into measured ones, in place: positions in resolver counts (the user
+    /// position from the motor's through the gear), speed and phase currents with noise, currents
+    /// in counts, the equivalent current from the measured phases. Every value is rounded to f32,
+    /// those of channels that the model does not name too.
+    pub fn apply(&self, block: &mut TelemetryViewMut<'_>) {
         let round = |x: f64| x as f32 as f64;
-        let noise = &self.noise.rows[(view.first - 1) as usize..][..view.rows];
+        let noise = &self.noise.rows[(block.first - 1) as usize..][..block.rows];
         let lsb = self.model.resolver_count_rad();
         let inv_lsb = 1.0 / lsb;
         let nearest = crate::trig::nearest;
         let rest = nearest(self.rest_angle_rad * inv_lsb);
-        out.copy_from(view);
-        if let Some(theta) = view.column(Channel::ThetaM) {
-            if let Some(col) = out.column_mut(Channel::ThetaM) {
-                for (o, &x) in col.iter_mut().zip(theta) {
-                    *o = round(nearest(x * inv_lsb) * lsb);
-                }
-            }
-            if let Some(col) = out.column_mut(Channel::ThetaU) {
-                for (o, &x) in col.iter_mut().zip(theta) {
+        let mut user = block.take(Channel::ThetaU);
+        if let Some(theta) = block.column_mut(Channel::ThetaM) {
+            if let Some(user) = &mut user {
+                for (o, &x) in user.iter_mut().zip(&*theta) {
                     *o = round((nearest(x * inv_lsb) - rest) * lsb / self.gear_ratio);
                 }
             }
+            for x in theta {
+                *x = round(nearest(*x * inv_lsb) * lsb);
+            }
         }
-        if let Some(col) = out.column_mut(Channel::OmegaM) {
-            for (o, n) in col.iter_mut().zip(noise) {
+        block.put(Channel::ThetaU, user);
+        if let Some(column) = block.column_mut(Channel::OmegaM) {
+            for (o, n) in column.iter_mut().zip(noise) {
                 *o = round(*o + self.model.speed_noise_rad_per_s * n[0] as f64);
             }
         }
@@ -137,32 +142,25 @@ impl Sensors<'_> {
         let full = (1u64 << (self.model.current_bits - 1)) as f64;
         for (q, c) in [Channel::IA, Channel::IB, Channel::IC].into_iter().enumerate() {
             let offset = self.noise.offset[q] * self.model.current_offset_a;
-            if let Some(col) = out.column_mut(c) {
-                for (o, n) in col.iter_mut().zip(noise) {
+            if let Some(column) = block.column_mut(c) {
+                for (o, n) in column.iter_mut().zip(noise) {
                     let x = *o + offset + self.model.current_noise_a * n[1 + q] as f64;
                     *o = round(nearest(x * inv_count).clamp(-full, full - 1.0) * count);
                 }
             }
         }
-        if let (Some(a), Some(b), Some(c)) = (
-            out.column(Channel::IA),
-            out.column(Channel::IB),
-            out.column(Channel::IC),
-        ) {
-            let eq: Vec<f64> = a
-                .iter()
-                .zip(b)
-                .zip(c)
-                .map(|((a, b), c)| round(0.5 * (a.abs() + b.abs() + c.abs())))
-                .collect();
-            if let Some(col) = out.column_mut(Channel::IEq) {
-                col.copy_from_slice(&eq);
+        let mut equivalent = block.take(Channel::IEq);
+        let phases = [Channel::IA, Channel::IB, Channel::IC].map(|c| block.column(c));
+        if let (Some(eq), [Some(a), Some(b), Some(c)]) = (&mut equivalent, phases) {
+            for (((o, a), b), c) in eq.iter_mut().zip(a).zip(b).zip(c) {
+                *o = round(0.5 * (a.abs() + b.abs() + c.abs()));
             }
         }
+        block.put(Channel::IEq, equivalent);
         use Channel::{Com, ISupply, Temperature, TorqueM, VA, VB, VC, VDc};
         for c in [Com, VA, VB, VC, TorqueM, Channel::IQ, ISupply, VDc, Temperature] {
-            if let Some(col) = out.column_mut(c) {
-                col.iter_mut().for_each(|o| *o = round(*o));
+            if let Some(column) = block.column_mut(c) {
+                column.iter_mut().for_each(|o| *o = round(*o));
             }
         }
     }

@@ -6,7 +6,7 @@ use crate::test_bench::{Lane, NumericalTestBench};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::sequence::TestSequence;
-use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink};
+use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryViewMut};
 use std::sync::OnceLock;
 
 /// Runs that go side by side.
@@ -136,82 +136,140 @@ pub fn simulate_lanes<const N: usize, S: TelemetrySink>(
     sinks: &mut [S],
     go_on: &impl Fn() -> bool,
 ) -> Result<Option<u64>> {
-    let lanes: Vec<Lane> = runs.iter().map(|r| r.lane.clone()).collect();
-    let mut bench = NumericalTestBench::<N>::new(&lanes, experiment.channels);
-    let dt = lanes[0].actuator.step_s;
-    let track = CommandTrack::new(&experiment.sequence, dt);
-    let rows = experiment.rows();
     let headers: Vec<TelemetryHeader> = runs.iter().map(|r| experiment.header(r)).collect();
-    let noise: Option<Vec<SensorNoise>> = experiment
-        .sensors
-        .as_ref()
-        .map(|_| runs.iter().map(|r| SensorNoise::new(r.seed, rows as usize)).collect());
-    // samples of a block by channel, row and lane: turned into columns of a run when it is full
-    let channels: Vec<Channel> = experiment.channels.iter().collect();
-    let mut block = vec![Vec::<[f64; N]>::with_capacity(BLOCK_ROWS); channels.len()];
+    let mut simulation = Simulation::<N>::new(experiment, runs);
     let mut buffer = TelemetryBuffer::new(experiment.channels, BLOCK_ROWS);
-    let mut measured = TelemetryBuffer::new(experiment.channels, BLOCK_ROWS);
-    let mut own = Vec::new();
-    let steps = (rows as f64 / (experiment.rate_hz * dt)).round() as u64;
-    let keep = || {
-        let mut all = vec![0.0; steps as usize];
-        track.fill(0, &mut all);
-        (dt, all)
-    };
-    let kept = (steps <= KEPT_COMMANDS)
-        .then(|| experiment.commands.get_or_init(keep))
-        .filter(|(step, _)| *step == dt);
-    for row in 1..=rows {
-        // sample `row` is of the interval that ends at row / rate
-        let end = (row as f64 / (experiment.rate_hz * dt)).round() as u64;
-        let com = match kept {
-            Some((_, all)) => &all[bench.step() as usize..end as usize],
-            None => {
-                own.resize((end - bench.step()) as usize, 0.0);
-                track.fill(bench.step(), &mut own);
-                &own
-            }
-        };
-        bench.advance(com);
-        let last = com[com.len() - 1];
-        for (c, rows) in channels.iter().zip(&mut block) {
-            rows.push(if *c == Channel::Com {
-                [last; N]
-            } else {
-                bench.samples(*c)
-            });
+    loop {
+        let rows = simulation.advance(BLOCK_ROWS);
+        if rows == 0 {
+            return Ok(Some(simulation.steps() * runs.len() as u64));
         }
-        bench.next_interval();
-        if block[0].len() == BLOCK_ROWS || row == rows {
-            if !go_on() {
-                return Ok(None);
-            }
-            let n = block[0].len();
-            for l in 0..runs.len() {
-                for (c, rows) in channels.iter().zip(&block) {
-                    let column = buffer.column_mut(*c).expect("made with these channels");
-                    column.clear();
-                    column.extend(rows.iter().map(|r| r[l]));
-                }
-                buffer.first = row + 1 - n as u64;
-                buffer.set_rows(n);
-                let view = buffer.view();
-                if let (Some(model), Some(noise)) = (&experiment.sensors, &noise) {
-                    let lane = &lanes[l];
-                    let sensors = Sensors {
-                        model,
-                        noise: &noise[l],
-                        gear_ratio: lane.actuator.gear_ratio,
-                        rest_angle_rad: lane.rest_angle_rad,
-                    };
-                    sensors.measure(&view, &mut measured);
-                    sinks[l].accept(&headers[l], &measured.view())?;
-                } else {
-                    sinks[l].accept(&headers[l], &view)?;
-                }
-            }
-            block.iter_mut().for_each(Vec::clear);
+        if !go_on() {
+            return Ok(None);
+        }
+        for l in 0..runs.len() {
+            simulation.write(l, &mut buffer.view_mut(simulation.first(), rows));
+            sinks[l].accept(&headers[l], &buffer.view())?;
         }
     }
-    Ok(Some(bench.step() * runs.len() as u64))
+}
+
+/// Up to N runs that are simulated block by block; whoever asks for a block says where its columns
+/// lie.
+pub struct Simulation<'a, const N: usize> {
+    experiment: &'a Experiment,
+    lanes: Vec<Lane>,
+    bench: NumericalTestBench<N>,
+    track: CommandTrack<'a>,
+    noise: Option<Vec<SensorNoise>>,
+    channels: Vec<Channel>,
+    /// samples of a block by channel, row and lane: turned into columns of a run by `write`
+    block: Vec<Vec<[f64; N]>>,
+    own: Vec<f64>,
+    dt: f64,
+    rows: u64,
+    row: u64,
+}
+
+impl<'a, const N: usize> Simulation<'a, N> {
+    /// All runs at rest.
+    pub fn new(experiment: &'a Experiment, runs: &[Run]) -> Self {
+        let lanes: Vec<Lane> = runs.iter().map(|r| r.lane.clone()).collect();
+        let dt = lanes[0].actuator.step_s;
+        let rows = experiment.rows();
+        let noise = |_: &SensorModel| runs.iter().map(|r| SensorNoise::new(r.seed, rows as usize)).collect();
+        let channels: Vec<Channel> = experiment.channels.iter().collect();
+        let simulation = Self {
+            bench: NumericalTestBench::new(&lanes, experiment.channels),
+            track: CommandTrack::new(&experiment.sequence, dt),
+            noise: experiment.sensors.as_ref().map(noise),
+            block: vec![Vec::with_capacity(BLOCK_ROWS); channels.len()],
+            own: Vec::new(),
+            row: 0,
+            experiment,
+            lanes,
+            channels,
+            dt,
+            rows,
+        };
+        simulation.keep_commands();
+        simulation
+    }
+
+    /// Steps from the start to the end of sample `row`.
+    fn steps_to(&self, row: u64) -> u64 {
+        (row as f64 / (self.experiment.rate_hz * self.dt)).round() as u64
+    }
+
+    fn keep_commands(&self) {
+        let steps = self.steps_to(self.rows);
+        if steps <= KEPT_COMMANDS {
+            self.experiment.commands.get_or_init(|| {
+                let mut all = vec![0.0; steps as usize];
+                self.track.fill(0, &mut all);
+                (self.dt, all)
+            });
+        }
+    }
+
+    /// Simulates the next samples, at most `rows`; returns how many, 0 at the end of the sequence.
+    pub fn advance(&mut self, rows: usize) -> usize {
+        self.block.iter_mut().for_each(Vec::clear);
+        let rows = (rows as u64).min(self.rows - self.row) as usize;
+        let kept = self.experiment.commands.get().filter(|(step, _)| *step == self.dt);
+        for row in self.row + 1..=self.row + rows as u64 {
+            // sample `row` is of the interval that ends at row / rate
+            let (from, to) = (self.bench.step(), self.steps_to(row));
+            let com = match kept {
+                Some((_, all)) => &all[from as usize..to as usize],
+                None => {
+                    self.own.resize((to - from) as usize, 0.0);
+                    self.track.fill(from, &mut self.own);
+                    &self.own
+                }
+            };
+            self.bench.advance(com);
+            let last = com[com.len() - 1];
+            for (c, rows) in self.channels.iter().zip(&mut self.block) {
+                rows.push(if *c == Channel::Com {
+                    [last; N]
+                } else {
+                    self.bench.samples(*c)
+                });
+            }
+            self.bench.next_interval();
+        }
+        self.row += rows as u64;
+        rows
+    }
+
+    /// Number of the first sample of the block that was simulated last.
+    pub fn first(&self) -> u64 {
+        self.row + 1 - self.block.first().map_or(0, Vec::len) as u64
+    }
+
+    /// Steps done by each lane.
+    pub fn steps(&self) -> u64 {
+        self.bench.step()
+    }
+
+    /// Writes the last block of run `lane`, as its sensors see it, into `out`.
+    pub fn write(&self, lane: usize, out: &mut TelemetryViewMut<'_>) {
+        for (c, rows) in self.channels.iter().zip(&self.block) {
+            if let Some(column) = out.column_mut(*c) {
+                for (o, r) in column.iter_mut().zip(rows) {
+                    *o = r[lane];
+                }
+            }
+        }
+        if let (Some(model), Some(noise)) = (&self.experiment.sensors, &self.noise) {
+            let sensors = Sensors {
+                model,
+                noise: &noise[lane],
+                gear_ratio: self.lanes[lane].actuator.gear_ratio,
+                rest_angle_rad: self.lanes[lane].rest_angle_rad,
+            };
+            sensors.apply(out);
+        }
+    }
 }

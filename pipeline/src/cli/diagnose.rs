@@ -1,12 +1,13 @@
 //! `ema diagnose`.
 
-use super::{ActuatorArg, EXIT_LOSS, say};
+use super::{ActuatorArg, say};
 use crate::case::{self, Settings};
 use crate::report::{self, Report, Section};
 use crate::report_pages;
 use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::Outcome;
+use schemas::error::EXIT_LOSS;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -50,7 +51,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     };
     let case = case::run(&a.file, &settings)?;
     if a.json {
-        say(&case::to_json(&case.diagnosis).to_string());
+        say(&diagnoser::report::to_json(&case.diagnosis).to_string());
     } else {
         say(&case::to_text(&case));
     }

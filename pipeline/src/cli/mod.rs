@@ -4,20 +4,16 @@ mod diagnose;
 mod plot;
 mod run;
 mod simulate;
+mod stream;
 
 use crate::Interrupted;
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use schemas::error::Error;
+use schemas::error::{EXIT_INTERRUPTED, Error};
 use sim_worker::parameters::ActuatorParameters;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-
-/// Finished, but something is missing (an incomplete diagnosis).
-pub const EXIT_LOSS: u8 = 3;
-/// A file or value that is not allowed.
-pub const EXIT_BAD_INPUT: u8 = 4;
 
 const EXIT_CODES: &str = "Exit codes: 0 done (a diagnosis that finds no fault pair is a finding, not an error) \
     | 1 unforeseen failure, for example a full disk | 2 wrong command line \
@@ -47,6 +43,17 @@ enum Commands {
         after_help = "Example: ema diagnose run.csv --json    (maps of the reference actuator, made on first use)"
     )]
     Diagnose(diagnose::DiagnoseArgs),
+    /// Diagnose telemetry in shared memory while the test runs
+    #[command(
+        after_help = "Example: ema live --log diagnoses.jsonl    (then, elsewhere: ema bench-live --fsj 3 --zeta 0.3)"
+    )]
+    Live(stream::LiveCommand),
+    /// Play recordings back into shared memory, without loss
+    #[command(after_help = "Example: ema replay run.parquet --speed max")]
+    Replay(stream::ReplayArgs),
+    /// Run the numerical test bench in real time as device under test
+    #[command(after_help = "Example: ema bench-live --fsj 3 --zeta 0.3 --tests 5")]
+    BenchLive(stream::BenchLiveArgs),
     /// Draw maps, diagnoses and telemetry as SVG
     #[command(after_help = "Example: ema plot maps dataset --out plots")]
     Plot(plot::PlotArgs),
@@ -134,6 +141,9 @@ pub fn main() -> ExitCode {
         Commands::Simulate(a) => simulate::simulate(&a),
         Commands::Maps(a) => simulate::maps(&a),
         Commands::Diagnose(a) => diagnose::diagnose(&a),
+        Commands::Live(a) => stream::live(&a),
+        Commands::Replay(a) => stream::replay(&a),
+        Commands::BenchLive(a) => stream::bench_live(&a),
         Commands::Plot(a) => plot::plot(&a),
         Commands::Bench(a) => bench(&a),
         Commands::Demo(a) => crate::demo::demo(&a.out, &a.grid, a.seeds, a.file.as_deref()).map(|()| ExitCode::SUCCESS),
@@ -143,17 +153,9 @@ pub fn main() -> ExitCode {
         // a closed pipe (ema ... | head) is not worth a word
         eprintln!("ema: {}", format!("{e:#}").replace('\n', " "));
         if e.is::<Interrupted>() {
-            ExitCode::from(130)
-        } else if matches!(e.downcast_ref::<Error>(), Some(Error::Bad { .. } | Error::Torn { .. })) {
-            ExitCode::from(EXIT_BAD_INPUT)
-        } else if let Some(Error::Io {
-            what: "cannot be read" | "is in use",
-            ..
-        }) = e.downcast_ref::<Error>()
-        {
-            ExitCode::from(EXIT_BAD_INPUT)
+            ExitCode::from(EXIT_INTERRUPTED)
         } else {
-            ExitCode::from(1)
+            ExitCode::from(e.downcast_ref::<Error>().map_or(1, Error::exit_code))
         }
     })
 }

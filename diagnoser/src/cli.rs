@@ -1,0 +1,141 @@
+//! Arguments of the live diagnoser, for the programs `diagnoser` and `ema live`.
+
+use crate::live::Known;
+use crate::receive::{Counts, MapSource, Options, Show, receive};
+use clap::Args;
+use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
+use schemas::stream::{Domain, domain};
+use sim_worker::datasets;
+use sim_worker::parameters::ActuatorParameters;
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// Which shared memory.
+#[derive(Args, Clone, Debug)]
+pub struct DomainArg {
+    /// Domain: only processes of one domain see each other; letters, digits and -
+    #[arg(long, env = domain::VARIABLE, default_value = "", hide_default_value = true)]
+    domain: String,
+}
+
+impl DomainArg {
+    pub fn open(&self) -> Result<Domain> {
+        Domain::new(&self.domain)
+    }
+}
+
+#[derive(Args, Clone, Debug)]
+pub struct LiveArgs {
+    #[command(flatten)]
+    domain: DomainArg,
+    /// Actuator parameters that frames may name, TOML files; besides the reference actuator
+    #[arg(long, value_name = "FILE")]
+    actuator: Vec<PathBuf>,
+    /// Sequences that frames may name, TOML files; besides the built-in ones
+    #[arg(long, value_name = "FILE")]
+    sequence: Vec<PathBuf>,
+    /// Sensor models that frames may name, TOML files; besides none and the reference
+    #[arg(long, value_name = "FILE")]
+    sensors: Vec<PathBuf>,
+    /// Saved maps: file, folder with maps.parquet, or folder of such folders
+    #[arg(long, value_name = "PATH")]
+    pub maps: Vec<PathBuf>,
+    /// Append final diagnoses to FILE.jsonl or FILE.parquet
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
+    /// Record every stream into this folder as Parquet, while diagnosing
+    #[arg(long, value_name = "DIR")]
+    record: Option<PathBuf>,
+    /// Poll instead of sleeping until something comes: quicker, and a processor core is always busy
+    #[arg(long)]
+    busy: bool,
+    /// Lines instead of the live view
+    #[arg(long)]
+    plain: bool,
+    /// A JSON object for each diagnosis, those so far included
+    #[arg(long, conflicts_with = "plain")]
+    json: bool,
+    /// End after so many final diagnoses
+    #[arg(long, value_name = "N")]
+    exit_after: Option<u64>,
+    /// A stream without a frame for so long is over [s]
+    #[arg(long, default_value_t = 10.0, value_name = "S")]
+    timeout: f64,
+}
+
+impl LiveArgs {
+    /// What frames may name.
+    pub fn known(&self) -> Result<(Known, Vec<sim_worker::sensor::SensorModel>)> {
+        let mut actuators = vec![Arc::new(ActuatorParameters::reference())];
+        for path in &self.actuator {
+            actuators.push(Arc::new(ActuatorParameters::read(path)?));
+        }
+        let mut sequences = Vec::new();
+        for name in datasets::sequence_names() {
+            sequences.push(datasets::sequence(name)?);
+        }
+        for path in &self.sequence {
+            sequences.push(datasets::sequence(&path.to_string_lossy())?);
+        }
+        let mut models = Vec::new();
+        models.extend(datasets::sensors("reference")?);
+        for path in &self.sensors {
+            models.extend(datasets::sensors(&path.to_string_lossy())?);
+        }
+        let mut sensors = vec!["none".to_string()];
+        sensors.extend(models.iter().map(|m| m.fingerprint()));
+        let known = Known {
+            actuators,
+            sequences,
+            sensors,
+        };
+        Ok((known, models))
+    }
+
+    /// Runs until Ctrl-C (`stop`) or until enough diagnoses have come; returns the exit code.
+    pub fn run(&self, known: Known, maps: MapSource, stop: &Arc<AtomicBool>) -> Result<u8> {
+        if !(self.timeout.is_finite() && self.timeout > 0.0 && self.timeout < 1e6) {
+            let allowed = "a number of seconds above 0";
+            return Err(Error::bad("command line", "--timeout", self.timeout, allowed));
+        }
+        let show = if self.json {
+            Show::Json
+        } else if self.plain || !std::io::stdout().is_terminal() {
+            Show::Lines
+        } else {
+            Show::Screen
+        };
+        let options = Options {
+            domain: self.domain.open()?,
+            known,
+            log: self.log.clone(),
+            record: self.record.clone(),
+            busy: self.busy,
+            show,
+            exit_after: self.exit_after,
+            timeout: Duration::from_secs_f64(self.timeout),
+        };
+        let counts: Counts = receive(options, maps, stop)?;
+        let Counts {
+            frames,
+            diagnoses,
+            located,
+            incomplete,
+            strays,
+            ..
+        } = counts;
+        eprintln!(
+            "{frames} frames, {diagnoses} diagnoses: {located} located, {incomplete} incomplete; {strays} frames refused"
+        );
+        Ok(if stop.load(Ordering::Relaxed) {
+            EXIT_INTERRUPTED
+        } else if incomplete > 0 {
+            EXIT_LOSS
+        } else {
+            0
+        })
+    }
+}

@@ -1,0 +1,694 @@
+//! Live diagnosis without input or output: frames in, diagnoses out. Every stream that is seen
+//! ends in exactly one final diagnosis, and what was lost or wrong is said in it.
+
+use crate::diagnosis::{Diagnosis, Outcome, diagnose};
+use crate::extractor::{FeatureExtractor, FeaturePlan};
+use crate::failure_map::FailureMapSet;
+use crate::map_library::MapKey;
+use schemas::channel::{Channel, ChannelSet};
+use schemas::feature::{Features, RawFeatures};
+use schemas::sequence::{Command, TestSequence};
+use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
+use schemas::telemetry::TelemetryView;
+use sim_worker::parameters::ActuatorParameters;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Lowest telemetry rate that a diagnosis takes [Hz].
+pub const LOWEST_RATE_HZ: f64 = 1000.0;
+
+/// Faults of a stream that are named one by one; the others are counted.
+const NAMED: usize = 4;
+
+/// Finished streams remembered per actuator, so that a late frame does not look like a new run.
+const REMEMBERED: usize = 8;
+
+/// Map sets kept in memory.
+const KEPT_MAPS: usize = 256;
+
+/// What the diagnoser can interpret: a frame names actuator, sequence and sensors by fingerprint.
+#[derive(Clone, Debug, Default)]
+pub struct Known {
+    pub actuators: Vec<Arc<ActuatorParameters>>,
+    pub sequences: Vec<TestSequence>,
+    /// fingerprints of sensor models, `none` included
+    pub sensors: Vec<String>,
+}
+
+impl Known {
+    fn actuator(&self, fingerprint: &str) -> Option<&Arc<ActuatorParameters>> {
+        self.actuators.iter().find(|a| a.fingerprint() == fingerprint)
+    }
+    fn sequence(&self, fingerprint: &str) -> Option<&TestSequence> {
+        self.sequences.iter().find(|s| s.fingerprint() == fingerprint)
+    }
+}
+
+/// A diagnosis of a stream.
+#[derive(Clone, Debug)]
+pub struct Report {
+    pub run: RunDescription,
+    pub stream: u64,
+    /// the last word; otherwise what is known so far
+    pub is_final: bool,
+    pub diagnosis: Diagnosis,
+    pub samples_received: u64,
+    pub samples_lost: u64,
+    /// when the frame that brought it was published [ns, CLOCK_MONOTONIC]
+    pub telemetry_ns: u64,
+}
+
+/// What a person sees of an actuator.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Status {
+    pub actuator: String,
+    pub run: u64,
+    pub process: u32,
+    /// what the command does now, in words
+    pub phase: String,
+    pub sample: u64,
+    pub samples: u64,
+    pub lost: u64,
+    pub raw: RawFeatures,
+    /// over the maps' nominal run, once there are maps
+    pub features: Features,
+    /// the last diagnosis, final or so far
+    pub outcome: Option<Outcome>,
+    pub is_final: bool,
+}
+
+enum Maps {
+    Wanted,
+    Ready(Arc<FailureMapSet>),
+    Refused(String),
+}
+
+type Key = ([u8; 32], u64);
+
+/// A range of samples or frames that did not come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Gap {
+    from: u64,
+    to: u64,
+}
+
+/// One stream.
+struct Track {
+    run: RunDescription,
+    header: FrameHeader,
+    publisher: u64,
+    sequence: Option<TestSequence>,
+    channels: ChannelSet,
+    extractor: Option<FeatureExtractor>,
+    key: Option<MapKey>,
+    next_frame: u64,
+    next_sample: u64,
+    received: u64,
+    /// sample frames that came before the first gap in the frames' numbers
+    whole_frames: u64,
+    /// no frame number has been left out
+    is_unbroken: bool,
+    lost: Vec<Gap>,
+    lost_samples: u64,
+    faults: Vec<String>,
+    fault_count: u64,
+    counted: usize,
+    last_ns: u64,
+    telemetry_ns: u64,
+    outcome: Option<Outcome>,
+    features: Features,
+    /// nothing more is to be expected of the samples: a final diagnosis is due
+    due: bool,
+    is_final: bool,
+    ended: bool,
+}
+
+impl Track {
+    fn fault(&mut self, what: String) {
+        self.fault_count += 1;
+        if self.faults.len() < NAMED {
+            self.faults.push(what);
+        }
+    }
+
+    /// What is wrong with the stream, in words.
+    fn notes(&self) -> Vec<String> {
+        let mut v = self.faults.clone();
+        if self.fault_count > self.faults.len() as u64 {
+            v.push(format!("and {} more", self.fault_count - self.faults.len() as u64));
+        }
+        if self.lost_samples > 0 {
+            let named = self.lost.iter().take(NAMED);
+            let list: Vec<String> = named
+                .map(|g| {
+                    if g.from == g.to {
+                        g.from.to_string()
+                    } else {
+                        format!("{}..{}", g.from, g.to)
+                    }
+                })
+                .collect();
+            let more = if self.lost.len() > NAMED { ", ..." } else { "" };
+            v.push(format!(
+                "{} samples lost ({}{more})",
+                self.lost_samples,
+                list.join(", ")
+            ));
+        }
+        v
+    }
+
+    /// Samples from the expected one up to the one before `first` did not come.
+    fn skip_to(&mut self, first: u64) {
+        if first > self.next_sample {
+            self.lost.push(Gap {
+                from: self.next_sample,
+                to: first - 1,
+            });
+            self.lost_samples += first - self.next_sample;
+            self.next_sample = first;
+        }
+    }
+
+    fn begins(&self) -> bool {
+        self.lost.first().is_none_or(|g| g.from > 1)
+    }
+
+    fn status(&self) -> Status {
+        let sample = self.next_sample - 1;
+        Status {
+            actuator: self.run.actuator.clone(),
+            run: self.run.run,
+            process: self.header.process,
+            phase: self.phase(sample),
+            sample,
+            samples: self.run.total_rows,
+            lost: self.lost_samples,
+            raw: self.extractor.as_ref().map(|x| x.features()).unwrap_or_default(),
+            features: self.features,
+            outcome: self.outcome.clone(),
+            is_final: self.is_final,
+        }
+    }
+
+    fn phase(&self, sample: u64) -> String {
+        if self.ended {
+            return "ended".into();
+        }
+        let t = sample as f64 / self.run.rate_hz;
+        let segment = self
+            .sequence
+            .iter()
+            .flat_map(|s| &s.segments)
+            .rev()
+            .find(|s| s.start_s <= t);
+        let name = segment.map_or("-", |s| match s.command {
+            Command::Ramp { .. } => "ramp",
+            Command::Hold { .. } => "hold",
+            Command::Sine { .. } => "sine",
+            Command::Step { .. } => "step",
+            Command::Chirp { .. } => "chirp",
+            Command::Multisine { .. } => "multisine",
+        });
+        name.into()
+    }
+}
+
+/// The state of all streams.
+#[derive(Default)]
+pub struct Live {
+    known: Known,
+    tracks: HashMap<Key, Track>,
+    plans: HashMap<(u64, u64, u64, bool), Arc<FeaturePlan>>,
+    maps: HashMap<MapKey, Maps>,
+    wishes: Vec<MapKey>,
+    reports: Vec<Report>,
+    /// frames that no stream could be found for, and why the last one
+    pub strays: u64,
+    pub last_stray: String,
+}
+
+impl Live {
+    pub fn new(known: Known) -> Self {
+        Self {
+            known,
+            ..Self::default()
+        }
+    }
+
+    /// Takes a frame, in place.
+    ///
+    /// * `publisher` who sent it
+    /// * `is_alive` whether a publisher is alive; asked only when two want the same actuator
+    /// * `now_ns` CLOCK_MONOTONIC
+    ///
+    /// Returns the number of frames to be answered with, where the frame wants an answer.
+    pub fn frame(
+        &mut self,
+        header: &FrameHeader,
+        payload: &[f64],
+        publisher: u64,
+        is_alive: &dyn Fn(u64) -> bool,
+        now_ns: u64,
+    ) -> Option<u64> {
+        let key = (header.actuator, header.stream);
+        let view = match header.view(payload) {
+            Ok(view) => view,
+            Err(fault) => {
+                let text = format!("frame {}: {fault}", header.frame);
+                match self.tracks.get_mut(&key) {
+                    Some(t) if header.schema_version == schemas::SCHEMA_VERSION => {
+                        t.next_frame = t.next_frame.max(header.frame + 1);
+                        t.fault(text);
+                    }
+                    _ => {
+                        self.strays += 1;
+                        self.last_stray = format!("process {}: {text}", header.process);
+                    }
+                }
+                return None;
+            }
+        };
+        if !self.tracks.contains_key(&key) {
+            self.open(header, publisher, is_alive, now_ns);
+        }
+        let track = self.tracks.get_mut(&key)?;
+        track.last_ns = now_ns;
+        if header.kind == BEGIN {
+            track.next_frame = track.next_frame.max(1);
+            return Some(track.whole_frames);
+        }
+        if header.frame < track.next_frame {
+            if header.kind == END {
+                return Some(track.whole_frames);
+            }
+            let missed = track
+                .lost
+                .iter()
+                .any(|g| g.from <= header.first && header.first <= g.to);
+            if missed {
+                track.fault(format!("frame {} out of order", header.frame));
+            }
+            // a repeated frame says nothing new
+            return None;
+        }
+        if header.frame > track.next_frame && header.kind == END && track.next_frame > 0 {
+            let n = header.frame - track.next_frame;
+            track.fault(format!("{n} frames lost before the last one"));
+        }
+        track.is_unbroken &= header.frame == track.next_frame;
+        track.next_frame = header.frame + 1;
+        if header.kind == END {
+            track.ended = true;
+            if !track.is_final {
+                track.telemetry_ns = header.publish_ns;
+                if !track.is_unbroken && track.run.total_rows >= track.next_sample {
+                    track.skip_to(track.run.total_rows + 1);
+                }
+                track.due = true;
+            }
+            let whole = track.whole_frames;
+            self.conclude(key);
+            return Some(whole);
+        }
+        track.whole_frames += u64::from(track.is_unbroken);
+        track.samples(header, &view);
+        self.progress(key);
+        None
+    }
+
+    /// A new stream.
+    fn open(&mut self, header: &FrameHeader, publisher: u64, is_alive: &dyn Fn(u64) -> bool, now_ns: u64) {
+        let run = header.description();
+        let mut track = Track {
+            header: *header,
+            publisher,
+            sequence: self.known.sequence(&run.sequence).cloned(),
+            channels: ChannelSet::default(),
+            extractor: None,
+            key: None,
+            next_frame: 0,
+            next_sample: 1,
+            received: 0,
+            whole_frames: 0,
+            is_unbroken: true,
+            lost: Vec::with_capacity(16),
+            lost_samples: 0,
+            faults: Vec::new(),
+            fault_count: 0,
+            counted: 0,
+            last_ns: now_ns,
+            telemetry_ns: header.publish_ns,
+            outcome: None,
+            features: Features::default(),
+            due: false,
+            is_final: false,
+            ended: false,
+            run,
+        };
+        if let Err(why) = self.prepare(&mut track) {
+            track.fault(why);
+            track.due = true;
+        }
+        // who else sends this actuator?
+        let same = |k: &Key| k.0 == header.actuator && k.1 != header.stream;
+        let others: Vec<Key> = self
+            .tracks
+            .iter()
+            .filter(|(k, t)| same(k) && !t.is_final && !t.ended)
+            .map(|(k, _)| *k)
+            .collect();
+        for other in others {
+            let old = self.tracks.get_mut(&other).expect("just found");
+            if old.publisher == publisher {
+                old.fault("sent anew from the start".into());
+            } else if is_alive(old.publisher) {
+                let (a, b) = (old.header.process, header.process);
+                track.fault(format!(
+                    "two publishers for actuator `{}`: process {a} has been sending it, process {b} is refused",
+                    track.run.actuator
+                ));
+                track.due = true;
+                continue;
+            } else {
+                let (p, n) = (old.header.process, old.next_sample - 1);
+                old.fault(format!("the publisher (process {p}) died after sample {n}"));
+            }
+            old.due = true;
+            old.ended = true;
+            self.conclude(other);
+        }
+        // forget the oldest finished streams of this actuator
+        let mut finished: Vec<(u64, Key)> = self
+            .tracks
+            .iter()
+            .filter(|(k, t)| same(k) && t.is_final)
+            .map(|(k, t)| (t.last_ns, *k))
+            .collect();
+        finished.sort_unstable();
+        for (_, k) in finished.iter().rev().skip(REMEMBERED) {
+            self.tracks.remove(k);
+        }
+        let key = (header.actuator, header.stream);
+        self.tracks.insert(key, track);
+        self.conclude(key);
+    }
+
+    /// Finds what the stream is to be interpreted with.
+    fn prepare(&mut self, track: &mut Track) -> Result<(), String> {
+        let run = &track.run;
+        let list = |v: Vec<String>| v.join(", ");
+        let Some(actuator) = self.known.actuator(&run.parameters) else {
+            let known = self.known.actuators.iter();
+            let known = known.map(|a| format!("{} ({})", a.fingerprint(), a.name)).collect();
+            let found = &run.parameters;
+            return Err(format!("unknown actuator: parameters {found}; known: {}", list(known)));
+        };
+        let Some(sequence) = self.known.sequence(&run.sequence) else {
+            let known = self.known.sequences.iter();
+            let known = known.map(|s| format!("{} ({})", s.fingerprint(), s.name)).collect();
+            return Err(format!("unknown sequence {}; known: {}", run.sequence, list(known)));
+        };
+        if !self.known.sensors.contains(&run.sensors) {
+            let known = list(self.known.sensors.clone());
+            return Err(format!("unknown sensors `{}`; known: {known}", run.sensors));
+        }
+        if run.rate_hz < LOWEST_RATE_HZ * (1.0 - 1e-6) {
+            return Err(format!(
+                "rate {} Hz; allowed: at least {LOWEST_RATE_HZ} Hz",
+                run.rate_hz
+            ));
+        }
+        let equivalent = ![Channel::IA, Channel::IB, Channel::IC]
+            .iter()
+            .all(|c| run.channels.contains(*c));
+        let id = (
+            track.header.parameters,
+            track.header.sequence,
+            run.rate_hz.to_bits(),
+            equivalent,
+        );
+        let plan = self
+            .plans
+            .entry(id)
+            .or_insert_with(|| Arc::new(FeaturePlan::new(actuator, sequence, run.rate_hz, equivalent)))
+            .clone();
+        track.channels = if equivalent {
+            ChannelSet::of([Channel::Com, Channel::ThetaM, Channel::OmegaM, Channel::IEq])
+        } else {
+            plan.channels()
+        };
+        if let Some(c) = track.channels.iter().find(|c| !run.channels.contains(*c)) {
+            return Err(format!("channel `{}` is missing", c.name()));
+        }
+        if track.run.total_rows == 0 {
+            track.run.total_rows = plan.rows;
+        }
+        track.extractor = Some(FeatureExtractor::new(plan));
+        Ok(())
+    }
+
+    /// Asks for maps once the rest angle is known, and says what the features say.
+    fn progress(&mut self, key: Key) {
+        let track = self.tracks.get_mut(&key).expect("called with a track");
+        let Some(x) = &track.extractor else { return };
+        if track.key.is_none()
+            && let Some(rest) = x.rest_angle_rad()
+        {
+            let run = &track.run;
+            let wish = MapKey::new(
+                &run.parameters,
+                &run.sequence,
+                &run.sensors,
+                run.rate_hz,
+                rest,
+                x.plan().equivalent_current(),
+            );
+            track.key = Some(wish.clone());
+            if !self.maps.contains_key(&wish) {
+                self.trim_maps();
+                self.wishes.push(wish.clone());
+                self.maps.insert(wish, Maps::Wanted);
+            }
+        }
+        let track = self.tracks.get_mut(&key).expect("called with a track");
+        let Some(x) = &track.extractor else { return };
+        if track.is_final {
+            return;
+        }
+        let count = x.count();
+        if x.is_complete() {
+            track.due = true;
+            self.conclude(key);
+        } else if count > track.counted {
+            self.provisional(key, count);
+        }
+    }
+
+    /// What the maps say of the features so far.
+    fn provisional(&mut self, key: Key, count: usize) {
+        let track = self.tracks.get_mut(&key).expect("called with a track");
+        let (Some(x), Some(k)) = (&track.extractor, &track.key) else {
+            return;
+        };
+        let Some(Maps::Ready(set)) = self.maps.get(k) else {
+            return;
+        };
+        track.counted = count;
+        let features = set.features(&x.features());
+        let diagnosis = diagnose(set, &features, &x.missing());
+        track.features = features;
+        track.outcome = Some(diagnosis.outcome.clone());
+        let report = track.report(diagnosis, false);
+        self.reports.push(report);
+    }
+
+    /// The final diagnosis of a stream that is due, if its maps are there.
+    fn conclude(&mut self, key: Key) {
+        let track = self.tracks.get_mut(&key).expect("called with a track");
+        if !track.due || track.is_final {
+            return;
+        }
+        let mut lacking = track.notes();
+        let nothing = |reason: String| Outcome::Incomplete { reason, area: None };
+        let diagnosis = match (&track.extractor, &track.key) {
+            (Some(x), Some(k)) => match self.maps.get(k) {
+                Some(Maps::Ready(set)) => {
+                    let load = track.run.load_n_m;
+                    if load != set.header.load_n_m && !load.is_nan() {
+                        let allowed = set.header.load_n_m;
+                        lacking.push(format!("load torque {load} N m; the maps are for {allowed} N m"));
+                    }
+                    lacking.extend(x.missing());
+                    let features = set.features(&x.features());
+                    diagnose(set, &features, &lacking)
+                }
+                Some(Maps::Refused(why)) => {
+                    lacking.push(why.clone());
+                    lacking.extend(x.missing());
+                    Diagnosis {
+                        outcome: nothing(lacking.join("; ")),
+                        features: Features::over(&x.features(), &RawFeatures::default()),
+                    }
+                }
+                // a diagnosis follows when they come
+                _ => return,
+            },
+            (Some(x), None) => {
+                if !track.begins() {
+                    lacking.insert(0, "sample 1 is missing: the rotor angle at rest is unknown".into());
+                }
+                lacking.extend(x.missing());
+                Diagnosis {
+                    outcome: nothing(lacking.join("; ")),
+                    features: Features::default(),
+                }
+            }
+            (None, _) => Diagnosis {
+                outcome: nothing(lacking.join("; ")),
+                features: Features::default(),
+            },
+        };
+        track.is_final = true;
+        track.features = diagnosis.features;
+        track.outcome = Some(diagnosis.outcome.clone());
+        let report = track.report(diagnosis, true);
+        self.reports.push(report);
+    }
+
+    /// Maps that came, or why they cannot.
+    pub fn maps(&mut self, key: &MapKey, maps: Result<Arc<FailureMapSet>, String>) {
+        let state = match maps {
+            Ok(set) => Maps::Ready(set),
+            Err(why) => Maps::Refused(why),
+        };
+        self.maps.insert(key.clone(), state);
+        let waiting: Vec<Key> = self
+            .tracks
+            .iter()
+            .filter(|(_, t)| t.key.as_ref() == Some(key) && !t.is_final)
+            .map(|(k, _)| *k)
+            .collect();
+        for k in waiting {
+            self.progress(k);
+            self.conclude(k);
+        }
+    }
+
+    /// Forgets map sets that no open stream uses, when there are many; a refusal is asked again.
+    fn trim_maps(&mut self) {
+        let tracks = &self.tracks;
+        let used = |k: &MapKey| tracks.values().any(|t| !t.is_final && t.key.as_ref() == Some(k));
+        let many = self.maps.len() >= KEPT_MAPS;
+        self.maps
+            .retain(|k, m| used(k) || !(many || matches!(m, Maps::Refused(_))));
+    }
+
+    /// Ends streams whose publisher is gone or has been silent for `timeout_ns`.
+    pub fn tick(&mut self, now_ns: u64, timeout_ns: u64, is_alive: &dyn Fn(u64) -> bool) {
+        let mut over = Vec::new();
+        for (k, t) in &mut self.tracks {
+            if t.is_final || t.due {
+                continue;
+            }
+            let n = t.next_sample - 1;
+            let of = t.run.total_rows;
+            if !is_alive(t.publisher) {
+                let p = t.header.process;
+                t.fault(format!("the publisher (process {p}) died after sample {n} of {of}"));
+            } else if now_ns.saturating_sub(t.last_ns) > timeout_ns {
+                let s = timeout_ns as f64 * 1e-9;
+                t.fault(format!("no frame for {s} s after sample {n} of {of}"));
+            } else {
+                continue;
+            }
+            t.due = true;
+            t.ended = true;
+            over.push(*k);
+        }
+        for k in over {
+            self.conclude(k);
+        }
+    }
+
+    /// Whether a stream is open, so that [`Live::tick`] has something to do.
+    pub fn is_busy(&self) -> bool {
+        self.tracks.values().any(|t| !t.is_final)
+    }
+
+    /// Whether a stream has not had its last frame yet.
+    pub fn is_streaming(&self) -> bool {
+        self.tracks.values().any(|t| !t.ended)
+    }
+
+    /// Diagnoses since the last call.
+    pub fn reports(&mut self) -> std::vec::Drain<'_, Report> {
+        self.reports.drain(..)
+    }
+
+    /// Maps asked for since the last call.
+    pub fn wishes(&mut self) -> std::vec::Drain<'_, MapKey> {
+        self.wishes.drain(..)
+    }
+
+    /// The newest stream of every actuator, by name.
+    pub fn statuses(&self) -> Vec<Status> {
+        let mut newest: HashMap<[u8; 32], &Track> = HashMap::new();
+        for (k, t) in &self.tracks {
+            let slot = newest.entry(k.0).or_insert(t);
+            if t.last_ns > slot.last_ns {
+                *slot = t;
+            }
+        }
+        let mut v: Vec<Status> = newest.values().map(|t| t.status()).collect();
+        v.sort_by(|a, b| a.actuator.cmp(&b.actuator));
+        v
+    }
+}
+
+impl Track {
+    /// Samples of a frame that is not older than the expected one.
+    fn samples(&mut self, header: &FrameHeader, view: &TelemetryView<'_>) {
+        if header.rate_hz != self.run.rate_hz || header.channels != self.header.channels {
+            let n = header.frame;
+            self.fault(format!(
+                "frame {n}: rate or channels are not those of the stream's start"
+            ));
+            return;
+        }
+        if view.first < self.next_sample {
+            self.fault(format!(
+                "frame {}: samples from {} on came before",
+                header.frame, view.first
+            ));
+            return;
+        }
+        for c in self.channels.iter() {
+            let column = view.column(c).expect("checked when the stream was opened");
+            if let Some(i) = column.iter().position(|v| !v.is_finite()) {
+                let n = view.first + i as u64;
+                self.fault(format!("`{}` is {} at sample {n}", c.name(), column[i]));
+                return;
+            }
+        }
+        self.skip_to(view.first);
+        self.next_sample += view.rows as u64;
+        self.received += view.rows as u64;
+        self.telemetry_ns = header.publish_ns;
+        if let Some(x) = &mut self.extractor {
+            x.push(view);
+        }
+    }
+
+    fn report(&self, diagnosis: Diagnosis, is_final: bool) -> Report {
+        Report {
+            run: self.run.clone(),
+            stream: self.header.stream,
+            is_final,
+            diagnosis,
+            samples_received: self.received,
+            samples_lost: self.lost_samples,
+            telemetry_ns: self.telemetry_ns,
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! Which maps a test needs, and where saved ones are found.
+
+use crate::failure_map::{FailureMapSet, MapSetHeader};
+use schemas::error::{Error, Result};
+use std::f64::consts::{PI, TAU};
+use std::path::{Path, PathBuf};
+
+/// Saved maps serve rest angles that differ by no more than this [rad] (0.1 degrees).
+pub const REST_ANGLE_TOLERANCE_RAD: f64 = TAU / 3600.0;
+
+/// Rest angles come in counts of a 16 bit resolver.
+const COUNTS: f64 = 65_536.0;
+
+/// The nearest resolver count, in `0..2 pi` [rad].
+pub fn rounded_rest_angle(angle_rad: f64) -> f64 {
+    rest_angle_count(angle_rad) as f64 * (TAU / COUNTS)
+}
+
+/// Number of the nearest resolver count.
+fn rest_angle_count(angle_rad: f64) -> u32 {
+    (angle_rad / (TAU / COUNTS)).round().rem_euclid(COUNTS) as u32
+}
+
+/// What maps must be made for to serve a test.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct MapKey {
+    /// fingerprint of the actuator's parameters
+    pub parameters: String,
+    /// fingerprint of the sequence
+    pub sequence: String,
+    /// fingerprint of the sensor model, or `none`
+    pub sensors: String,
+    rate: u64,
+    rest_angle: u32,
+    /// P2 from i_eq, because the telemetry has no phase currents
+    pub equivalent_current: bool,
+}
+
+impl MapKey {
+    /// * `rest_angle_rad` of the rotor, any turn
+    pub fn new(
+        parameters: &str,
+        sequence: &str,
+        sensors: &str,
+        rate_hz: f64,
+        rest_angle_rad: f64,
+        equivalent_current: bool,
+    ) -> Self {
+        Self {
+            parameters: parameters.into(),
+            sequence: sequence.into(),
+            sensors: sensors.into(),
+            rate: rate_hz.to_bits(),
+            rest_angle: rest_angle_count(rest_angle_rad),
+            equivalent_current,
+        }
+    }
+
+    pub fn rate_hz(&self) -> f64 {
+        f64::from_bits(self.rate)
+    }
+
+    /// On a resolver count [rad].
+    pub fn rest_angle_rad(&self) -> f64 {
+        f64::from(self.rest_angle) * (TAU / COUNTS)
+    }
+
+    /// Whether maps with this header serve.
+    pub fn is_served_by(&self, h: &MapSetHeader) -> bool {
+        let turn = (self.rest_angle_rad() - h.rest_angle_rad + PI).rem_euclid(TAU) - PI;
+        self.parameters == h.parameters
+            && self.sequence == h.sequence_fingerprint
+            && self.sensors == h.sensors
+            && (self.rate_hz() - h.rate_hz).abs() <= 1e-6 * h.rate_hz
+            && turn.abs() <= REST_ANGLE_TOLERANCE_RAD
+            && self.equivalent_current == h.equivalent_current
+    }
+
+    /// In words, for those who have to make them.
+    pub fn describe(&self) -> String {
+        format!(
+            "parameters {}, sequence {}, {} Hz, sensors {}, rest angle {:.2} deg, P2 from {}",
+            self.parameters,
+            self.sequence,
+            self.rate_hz(),
+            self.sensors,
+            self.rest_angle_rad().to_degrees(),
+            if self.equivalent_current {
+                "i_eq"
+            } else {
+                "phase currents"
+            },
+        )
+    }
+}
+
+/// Saved map sets in folders.
+#[derive(Clone, Debug)]
+pub struct MapLibrary {
+    files: Vec<PathBuf>,
+    folders: Vec<PathBuf>,
+}
+
+impl MapLibrary {
+    /// * `places` files, folders with `maps.parquet`, or folders of such folders; each must hold
+    ///   maps that can be loaded
+    pub fn open(places: &[PathBuf]) -> Result<Self> {
+        let mut files = Vec::new();
+        for place in places {
+            let found = Self::files_in(place);
+            if found.is_empty() {
+                let allowed = "maps.parquet, a folder that holds it, or a folder of such folders";
+                return Err(Error::bad(place.display().to_string(), "maps", "none", allowed));
+            }
+            for f in &found {
+                FailureMapSet::load(f)?;
+            }
+            files.extend(found);
+        }
+        Ok(Self {
+            files,
+            folders: Vec::new(),
+        })
+    }
+
+    /// A cache folder: looked into anew whenever maps are needed; what cannot be loaded is passed
+    /// over.
+    pub fn cache(folder: &Path) -> Self {
+        Self {
+            files: Vec::new(),
+            folders: vec![folder.into()],
+        }
+    }
+
+    fn files_in(place: &Path) -> Vec<PathBuf> {
+        if place.is_file() {
+            return vec![place.into()];
+        }
+        let own = place.join("maps.parquet");
+        if own.is_file() {
+            return vec![own];
+        }
+        let entries = std::fs::read_dir(place).into_iter().flatten().flatten();
+        let mut files: Vec<PathBuf> = entries
+            .map(|e| e.path().join("maps.parquet"))
+            .filter(|f| f.is_file())
+            .collect();
+        files.sort();
+        files
+    }
+
+    /// The first maps that serve.
+    pub fn find(&self, key: &MapKey) -> Option<FailureMapSet> {
+        let cached = self.folders.iter().flat_map(|f| Self::files_in(f));
+        self.files
+            .iter()
+            .cloned()
+            .chain(cached)
+            .filter_map(|f| FailureMapSet::load(&f).ok())
+            .find(|set| key.is_served_by(&set.header))
+    }
+}

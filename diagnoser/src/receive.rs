@@ -1,0 +1,270 @@
+//! The live diagnoser as a process: frames from shared memory, diagnoses to a second service, to
+//! a log and to a screen.
+
+use crate::diagnosis::Outcome;
+use crate::failure_map::FailureMapSet;
+use crate::live::{Known, Live};
+use crate::log::Log;
+use crate::map_library::MapKey;
+use crate::record::{Recording, record};
+use crate::report::{Logged, to_message};
+use crate::view::View;
+use schemas::error::Result;
+use schemas::stream::diagnosis::DiagnosisPublisher;
+use schemas::stream::subscriber::Subscriber;
+use schemas::stream::{Domain, now_ns};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// Between two looks at who is alive.
+const TICK: Duration = Duration::from_millis(250);
+/// Longest sleep without a frame, and while maps are being fetched.
+const SLEEP: Duration = Duration::from_millis(100);
+const SLEEP_FOR_MAPS: Duration = Duration::from_millis(2);
+/// How long the last frames of streams are waited for when enough has been diagnosed.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// Between two pictures of the screen.
+const PICTURE: Duration = Duration::from_millis(100);
+
+/// What becomes visible of the diagnoses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Show {
+    /// a table on the terminal, drawn anew
+    Screen,
+    /// a line a diagnosis
+    Lines,
+    /// a JSON object a diagnosis
+    Json,
+}
+
+/// Fetches maps: from a folder, or by making them.
+pub type MapSource = Box<dyn Fn(&MapKey) -> Result<FailureMapSet, String> + Send>;
+
+/// How to run.
+pub struct Options {
+    pub domain: Domain,
+    pub known: Known,
+    pub log: Option<PathBuf>,
+    /// folder of recordings
+    pub record: Option<PathBuf>,
+    /// poll instead of sleeping: the processor core is busy all the time
+    pub busy: bool,
+    pub show: Show,
+    /// end after so many final diagnoses
+    pub exit_after: Option<u64>,
+    /// a stream without a frame for so long is over
+    pub timeout: Duration,
+}
+
+/// What has happened.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    pub frames: u64,
+    pub diagnoses: u64,
+    pub located: u64,
+    pub incomplete: u64,
+    pub strays: u64,
+    /// frames of the transport that could not be received
+    pub failures: u64,
+}
+
+fn fetch_maps(source: MapSource) -> (Sender<MapKey>, Receiver<(MapKey, Result<FailureMapSet, String>)>) {
+    let (ask, asked) = channel::<MapKey>();
+    let (tell, told) = channel();
+    std::thread::spawn(move || {
+        for key in asked {
+            let maps = source(&key);
+            if tell.send((key, maps)).is_err() {
+                return;
+            }
+        }
+    });
+    (ask, told)
+}
+
+/// Where words about trouble go: to the screen, or to standard error.
+pub type Complain = Arc<dyn Fn(&str) + Send + Sync>;
+
+struct Receiving {
+    show: Show,
+    complain: Complain,
+    live: Live,
+    counts: Counts,
+    diagnoses: DiagnosisPublisher,
+    log: Option<Log>,
+    last_stray: String,
+}
+
+impl Receiving {
+    /// Publishes, then logs and shows, what has been found.
+    fn hand_out(&mut self) -> Result<()> {
+        for report in self.live.reports() {
+            let mut message = to_message(&report);
+            self.diagnoses.send(&mut message)?;
+            if report.is_final {
+                self.counts.diagnoses += 1;
+                match report.diagnosis.outcome {
+                    Outcome::Located(_) => self.counts.located += 1,
+                    Outcome::Incomplete { .. } => self.counts.incomplete += 1,
+                    _ => {}
+                }
+            }
+            let time = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+            let logged = Logged {
+                report,
+                time_ns: time.as_nanos() as i64,
+                publish_ns: message.publish_ns,
+            };
+            match self.show {
+                Show::Lines => say(&logged.to_line()),
+                Show::Json => say(&logged.to_json().to_string()),
+                Show::Screen => {}
+            }
+            if let (Some(log), true) = (&self.log, logged.report.is_final) {
+                log.append(logged);
+            }
+        }
+        if self.live.strays > self.counts.strays {
+            self.counts.strays = self.live.strays;
+            if self.live.last_stray != self.last_stray {
+                self.last_stray.clone_from(&self.live.last_stray);
+                (self.complain)(&format!("frame refused: {}", self.last_stray));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Prints, and does not mind when nobody reads on.
+fn say(text: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stdout(), "{text}");
+}
+
+/// Diagnoses what comes until `stop`, or until enough has come.
+pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Result<Counts> {
+    let subscriber = Subscriber::open(&options.domain)?;
+    let view = (options.show == Show::Screen)
+        .then(|| View::open(stop.clone()))
+        .transpose()?;
+    let complain: Complain = match &view {
+        Some(view) => view.complain(),
+        None => Arc::new(|text: &str| eprintln!("{text}")),
+    };
+    let mut r = Receiving {
+        show: options.show,
+        complain: complain.clone(),
+        counts: Counts::default(),
+        diagnoses: DiagnosisPublisher::open(&options.domain, subscriber.node())?,
+        log: options.log.as_deref().map(|p| Log::open(p, complain)).transpose()?,
+        last_stray: String::new(),
+        live: Live::new(options.known.clone()),
+    };
+    let over = Arc::new(AtomicBool::new(false));
+    let recorder = options.record.as_ref().map(|dir| -> Result<_> {
+        let names = options.known.sequences.iter();
+        let names = names.map(|s| (s.fingerprint(), s.name.clone())).collect();
+        let recording = Recording::new(dir, names, options.timeout)?;
+        let (domain, over, stop) = (options.domain.clone(), over.clone(), stop.clone());
+        Ok(std::thread::spawn(move || {
+            let result = record(&domain, recording, &over);
+            if result.is_err() {
+                // a diagnoser that was to record and cannot must not look as if it did
+                stop.store(true, Ordering::Relaxed);
+            }
+            result
+        }))
+    });
+    let recorder = recorder.transpose()?;
+    if options.show == Show::Lines {
+        eprintln!("waiting for telemetry (domain `{}`)", options.domain.prefix());
+    }
+    let (ask, told) = fetch_maps(maps);
+    let timeout_ns = options.timeout.as_nanos() as u64;
+    let mut asked = 0_u64;
+    let mut ticked = Instant::now();
+    let mut drawn = Instant::now();
+    // enough diagnoses, and the publishers have been told that all has arrived
+    let mut enough_since: Option<Instant> = None;
+    let mut enough = |r: &Receiving| {
+        let is_enough = options.exit_after.is_some_and(|n| r.counts.diagnoses >= n);
+        let since = is_enough.then(|| *enough_since.get_or_insert_with(Instant::now));
+        since.is_some_and(|t| !r.live.is_streaming() || t.elapsed() > FAREWELL)
+    };
+    let mut complaint = String::new();
+    let mut result = Ok(());
+    while !stop.load(Ordering::Relaxed) && !enough(&r) && result.is_ok() {
+        result = (|| {
+            loop {
+                let frame = match subscriber.receive() {
+                    Ok(Some(frame)) => frame,
+                    Ok(None) => break,
+                    Err(e) => {
+                        // a publisher that died while it connected, for example
+                        r.counts.failures += 1;
+                        if e.to_string() != complaint {
+                            complaint = e.to_string();
+                            (r.complain)(&complaint);
+                        }
+                        subscriber.publishers();
+                        break;
+                    }
+                };
+                r.counts.frames += 1;
+                let h = frame.header();
+                let alive = |p: u64| subscriber.publishers().contains(&p);
+                let answer = r.live.frame(h, frame.payload(), frame.publisher(), &alive, now_ns());
+                r.hand_out()?;
+                if let Some(n) = answer {
+                    subscriber.answer(h, n)?;
+                }
+                for key in r.live.wishes() {
+                    asked += 1;
+                    let _ = ask.send(key);
+                }
+            }
+            while let Ok((key, maps)) = told.try_recv() {
+                asked -= 1;
+                r.live.maps(&key, maps.map(Arc::new));
+                r.hand_out()?;
+            }
+            if ticked.elapsed() > TICK {
+                ticked = Instant::now();
+                if r.live.is_busy() {
+                    let alive = subscriber.publishers();
+                    r.live.tick(now_ns(), timeout_ns, &|p| alive.contains(&p));
+                    r.hand_out()?;
+                }
+            }
+            if let Some(view) = &view
+                && drawn.elapsed() > PICTURE
+            {
+                drawn = Instant::now();
+                view.show(r.live.statuses(), r.counts);
+            }
+            if !options.busy {
+                subscriber.wait(if asked > 0 { SLEEP_FOR_MAPS } else { SLEEP })?;
+            }
+            Ok(())
+        })();
+    }
+    if let Some(view) = view {
+        view.show(r.live.statuses(), r.counts);
+        view.close();
+    }
+    over.store(true, Ordering::Relaxed);
+    let recorded = recorder.map_or(Ok(0), |t| t.join().expect("the recorder does not panic"));
+    let logged = r.log.take().map_or(Ok(()), Log::close);
+    result?;
+    recorded?;
+    logged?;
+    Ok(r.counts)
+}
+
+/// An error of a map source in the words of the diagnosis.
+pub fn no_maps(key: &MapKey, hint: &str) -> String {
+    format!("no maps for {} ({hint})", key.describe())
+}

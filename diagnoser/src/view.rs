@@ -1,0 +1,271 @@
+//! The live view on a terminal.
+
+use crate::diagnosis::Outcome;
+use crate::live::Status;
+use crate::receive::{Complain, Counts};
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
+use ratatui::layout::{Constraint, Layout};
+use ratatui::style::{Color, Style, Stylize};
+use ratatui::text::Line;
+use ratatui::widgets::{Block, Cell, Paragraph, Row, Table};
+use schemas::error::{Error, Result};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Words of trouble that stay on the screen.
+const NOTES: usize = 3;
+
+#[derive(Clone, Default)]
+struct Picture {
+    statuses: Vec<Status>,
+    counts: Counts,
+    notes: Vec<String>,
+}
+
+/// The terminal, drawn by a thread of its own.
+pub struct View {
+    picture: Arc<Mutex<Picture>>,
+    over: Arc<AtomicBool>,
+    thread: JoinHandle<()>,
+}
+
+impl View {
+    /// Takes the terminal over; q or Ctrl-C sets `stop`.
+    pub fn open(stop: Arc<AtomicBool>) -> Result<Self> {
+        let mut terminal =
+            ratatui::try_init().map_err(|e| Error::io(std::path::Path::new("terminal"), "cannot be used", e))?;
+        let picture = Arc::new(Mutex::new(Picture::default()));
+        let over = Arc::new(AtomicBool::new(false));
+        let thread = {
+            let (picture, over) = (picture.clone(), over.clone());
+            std::thread::spawn(move || {
+                while !over.load(Ordering::Relaxed) {
+                    let now = picture.lock().map(|p| p.clone()).unwrap_or_default();
+                    let _ = terminal.draw(|frame| draw(frame, &now));
+                    if let Ok(true) = event::poll(Duration::from_millis(100))
+                        && let Ok(Event::Key(key)) = event::read()
+                    {
+                        let control = key.modifiers.contains(KeyModifiers::CONTROL);
+                        if key.code == KeyCode::Char('q') || (control && key.code == KeyCode::Char('c')) {
+                            stop.store(true, Ordering::Relaxed);
+                        }
+                    }
+                }
+                ratatui::restore();
+            })
+        };
+        Ok(Self { picture, over, thread })
+    }
+
+    /// What is to be seen from now on.
+    pub fn show(&self, statuses: Vec<Status>, counts: Counts) {
+        if let Ok(mut p) = self.picture.lock() {
+            p.statuses = statuses;
+            p.counts = counts;
+        }
+    }
+
+    /// Shows words of trouble below the table.
+    pub fn complain(&self) -> Complain {
+        let picture = self.picture.clone();
+        Arc::new(move |text: &str| {
+            if let Ok(mut p) = picture.lock() {
+                p.notes.push(text.into());
+                let many = p.notes.len().saturating_sub(NOTES);
+                p.notes.drain(..many);
+            }
+        })
+    }
+
+    /// Gives the terminal back and leaves the last table and notes on it as plain lines.
+    pub fn close(self) {
+        self.over.store(true, Ordering::Relaxed);
+        let _ = self.thread.join();
+        if let Ok(p) = self.picture.lock() {
+            for s in &p.statuses {
+                println!("{} run {}: {}", s.actuator, s.run, verdict(s));
+            }
+            p.notes.iter().for_each(|n| eprintln!("{n}"));
+        }
+    }
+}
+
+/// Outcome and intervals in words.
+fn verdict(s: &Status) -> String {
+    let Some(o) = &s.outcome else { return "-".into() };
+    let so_far = if s.is_final { "" } else { " (so far)" };
+    match o.area() {
+        Some(a) => format!(
+            "{}{so_far} FSJ {:.3} ({:.3} .. {:.3}) zeta {:.4} ({:.4} .. {:.4})",
+            name(o, s.is_final),
+            a.centroid.0,
+            a.fsj.lo,
+            a.fsj.hi,
+            a.centroid.1,
+            a.zeta.lo,
+            a.zeta.hi
+        ),
+        None => format!("{}{so_far} {}", name(o, s.is_final), o.reason()),
+    }
+}
+
+fn name(o: &Outcome, is_final: bool) -> String {
+    if is_final {
+        o.name().replace('_', " ")
+    } else {
+        "forming".into()
+    }
+}
+
+fn colour(s: &Status) -> Color {
+    match (&s.outcome, s.is_final) {
+        (Some(Outcome::Located(_)), true) => Color::Green,
+        (Some(Outcome::Incomplete { .. }), true) => Color::Yellow,
+        (Some(_), true) => Color::Red,
+        _ => Color::Gray,
+    }
+}
+
+/// A bar of `width` characters.
+fn bar(done: u64, of: u64, width: u64) -> String {
+    let filled = (done * width).checked_div(of).unwrap_or(0).min(width) as usize;
+    "█".repeat(filled) + &"·".repeat(width as usize - filled)
+}
+
+fn draw(frame: &mut ratatui::Frame<'_>, p: &Picture) {
+    let notes = p.notes.len() as u16;
+    let parts = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Min(4),
+        Constraint::Length(notes),
+        Constraint::Length(1),
+    ]);
+    let [top, middle, below, bottom] = parts.areas(frame.area());
+    let c = &p.counts;
+    let title = format!(
+        " ema live   {} actuators   {} frames   {} diagnoses: {} located, {} incomplete   {} refused frames",
+        p.statuses.len(),
+        c.frames,
+        c.diagnoses,
+        c.located,
+        c.incomplete,
+        c.strays
+    );
+    frame.render_widget(Line::from(title).bold(), top);
+    let number = |x: Option<f64>, digits: usize| x.map_or("-".into(), |x| format!("{x:.digits$}"));
+    let interval = |lo: f64, hi: f64, digits: usize| format!("{lo:.digits$} .. {hi:.digits$}");
+    let rows = p.statuses.iter().map(|s| {
+        let area = s.outcome.as_ref().and_then(|o| o.area());
+        let outcome = s.outcome.as_ref().map_or("-".into(), |o| name(o, s.is_final));
+        let reason = s.outcome.as_ref().map_or("", |o| o.reason());
+        let f = &s.features;
+        // before there are maps only what needs no nominal run is known
+        let p2 = f.p2_a.or(s.raw.p2_a);
+        let ripple = f.ripple_rad_per_s.or(s.raw.ripple_rad_per_s);
+        Row::new([
+            Cell::from(s.actuator.clone()).bold(),
+            Cell::from(s.run.to_string()),
+            Cell::from(s.phase.clone()),
+            Cell::from(bar(s.sample, s.samples, 12)),
+            Cell::from(s.lost.to_string()).fg(if s.lost > 0 { Color::Yellow } else { Color::Gray }),
+            Cell::from(number(f.p1_rad_per_s, 5)),
+            Cell::from(number(p2, 4)),
+            Cell::from(number(f.p3, 3)),
+            Cell::from(number(ripple, 6)),
+            Cell::from(area.map_or("-".into(), |a| interval(a.fsj.lo, a.fsj.hi, 3))),
+            Cell::from(area.map_or("-".into(), |a| interval(a.zeta.lo, a.zeta.hi, 4))),
+            Cell::from(outcome).fg(colour(s)).bold(),
+            Cell::from(if s.is_final { reason.to_string() } else { String::new() }),
+        ])
+    });
+    let widths = [
+        Constraint::Length(14),
+        Constraint::Length(5),
+        Constraint::Length(9),
+        Constraint::Length(12),
+        Constraint::Length(6),
+        Constraint::Length(9),
+        Constraint::Length(8),
+        Constraint::Length(7),
+        Constraint::Length(9),
+        Constraint::Length(16),
+        Constraint::Length(18),
+        Constraint::Length(12),
+        Constraint::Min(10),
+    ];
+    let head = Row::new([
+        "actuator", "run", "phase", "test", "lost", "P1 rad/s", "P2 A", "P3 -", "ripple", "FSJ", "zeta", "outcome",
+        "reason",
+    ]);
+    let table = Table::new(rows, widths)
+        .header(head.style(Style::new().dim()))
+        .block(Block::bordered());
+    frame.render_widget(table, middle);
+    let notes: Vec<Line> = p.notes.iter().map(|n| Line::from(n.as_str()).yellow()).collect();
+    frame.render_widget(Paragraph::new(notes), below);
+    frame.render_widget(Line::from(" q quits").dim(), bottom);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::Area;
+    use schemas::fault::Interval;
+    use schemas::feature::{Features, RawFeatures};
+
+    #[test]
+    fn prop_view_shows_interval_loss_and_trouble() {
+        let area = Area {
+            strips: Vec::new(),
+            fsj: Interval { lo: 2.989, hi: 3.008 },
+            zeta: Interval { lo: 0.2979, hi: 0.3016 },
+            centroid: (2.9988, 0.29978),
+            size: 1e-5,
+        };
+        let status = Status {
+            actuator: "left-aileron".into(),
+            run: 7,
+            process: 1,
+            phase: "step".into(),
+            sample: 15_000,
+            samples: 30_000,
+            lost: 100,
+            raw: RawFeatures::default(),
+            features: Features {
+                p1_rad_per_s: Some(0.05307),
+                ..Features::default()
+            },
+            outcome: Some(Outcome::Located(area)),
+            is_final: true,
+        };
+        let picture = Picture {
+            statuses: vec![status],
+            counts: Counts::default(),
+            notes: vec!["frame refused: process 3: truncated".into()],
+        };
+        let backend = ratatui::backend::TestBackend::new(160, 10);
+        let mut terminal = ratatui::Terminal::new(backend).unwrap();
+        terminal.draw(|f| draw(f, &picture)).unwrap();
+        let text: String = terminal
+            .backend()
+            .buffer()
+            .content()
+            .iter()
+            .map(|c| c.symbol())
+            .collect();
+        for wanted in [
+            "left-aileron",
+            "██████······",
+            "100",
+            "0.05307",
+            "2.989 .. 3.008",
+            "0.2979 .. 0.3016",
+            "located",
+            "truncated",
+        ] {
+            assert!(text.contains(wanted), "{wanted} in {text}");
+        }
+    }
+}

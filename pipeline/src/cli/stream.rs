@@ -1,0 +1,299 @@
+//! `ema live`, `ema replay`, `ema bench-live`.
+
+use super::run::{faults, finite};
+use super::{ActuatorArg, say};
+use crate::bench_live;
+use crate::case::Settings;
+use crate::maps::{self, MapRequest};
+use crate::progress::interrupted;
+use crate::replay::{Delivered, Replay};
+use anyhow::Result;
+use clap::Args;
+use diagnoser::cli::{DomainArg, LiveArgs};
+use diagnoser::live::Known;
+use diagnoser::map_library::{MapKey, MapLibrary};
+use diagnoser::receive::{MapSource, no_maps};
+use rand::{RngExt, SeedableRng};
+use schemas::channel::ChannelSet;
+use schemas::error::{EXIT_LOSS, Error};
+use schemas::fault::{FaultGrid, FaultState};
+use sim_worker::sensor::SensorModel;
+use sim_worker::simulate::{Experiment, Run};
+use sim_worker::test_bench::Lane;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+#[derive(Args)]
+pub struct LiveCommand {
+    #[command(flatten)]
+    live: LiveArgs,
+    /// Grid of maps made on first use
+    #[arg(long, default_value = "fine")]
+    grid: String,
+}
+
+pub fn live(a: &LiveCommand) -> Result<ExitCode> {
+    let (known, models) = a.live.known()?;
+    let grid = sim_worker::datasets::grid(&a.grid)?;
+    let source: MapSource = if a.live.maps.is_empty() {
+        // the live view owns the terminal
+        crate::progress::be_quiet();
+        let known = known.clone();
+        Box::new(move |key| make_maps(key, &known, &models, &grid))
+    } else {
+        let library = MapLibrary::open(&a.live.maps)?;
+        let hint = "leave out --maps to have them made, or make them with `ema maps`";
+        Box::new(move |key| library.find(key).ok_or_else(|| no_maps(key, hint)))
+    };
+    let stop: Arc<AtomicBool> = crate::progress::interrupt_flag();
+    Ok(ExitCode::from(a.live.run(known, source, &stop)?))
+}
+
+/// Maps from the cache, made on first use.
+fn make_maps(
+    key: &MapKey,
+    known: &Known,
+    models: &[SensorModel],
+    grid: &FaultGrid,
+) -> Result<diagnoser::failure_map::FailureMapSet, String> {
+    let actuator = known.actuators.iter().find(|a| a.fingerprint() == key.parameters);
+    let sequence = known.sequences.iter().find(|s| s.fingerprint() == key.sequence);
+    let (Some(actuator), Some(sequence)) = (actuator, sequence) else {
+        return Err(no_maps(key, "actuator or sequence is unknown"));
+    };
+    let request = MapRequest {
+        actuator: actuator.clone(),
+        sequence: sequence.clone(),
+        rate_hz: key.rate_hz(),
+        sensors: models.iter().find(|m| m.fingerprint() == key.sensors).cloned(),
+        rest_angle_rad: key.rest_angle_rad(),
+        equivalent_current: key.equivalent_current,
+        grid: grid.clone(),
+    };
+    maps::cached(&request).map_err(|e| format!("{e:#}"))
+}
+
+#[derive(Args)]
+pub struct ReplayArgs {
+    /// Recordings: the project's Parquet (all runs of it) or CSV
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// Times real time, or max
+    #[arg(long, default_value = "1")]
+    speed: String,
+    /// Duration of a frame [ms]
+    #[arg(long, default_value_t = 10.0)]
+    frame_ms: f64,
+    /// How long to wait for a subscriber [s]
+    #[arg(long, default_value_t = 30.0)]
+    wait: f64,
+    /// Name of the actuator in the frames, instead of the recording's
+    #[arg(long)]
+    id: Option<String>,
+    /// Number of the first run in the frames, instead of the recording's
+    #[arg(long)]
+    run: Option<u64>,
+    /// Sequence by name or TOML file; recognised from the command if left out
+    #[arg(long)]
+    sequence: Option<String>,
+    /// auto, none, reference, or a TOML file
+    #[arg(long, default_value = "auto")]
+    sensors: String,
+    #[command(flatten)]
+    domain: DomainArg,
+    #[command(flatten)]
+    actuator: ActuatorArg,
+}
+
+fn positive(what: &str, x: f64, most: f64) -> Result<f64> {
+    if x.is_finite() && x > 0.0 && x <= most {
+        Ok(x)
+    } else {
+        Err(Error::bad("command line", what, x, format!("a number above 0, at most {most}")).into())
+    }
+}
+
+/// A name that fits into a frame.
+fn actuator_id(name: &str) -> Result<()> {
+    if (1..=32).contains(&name.len()) {
+        return Ok(());
+    }
+    Err(Error::bad("command line", "--id", name, "1 to 32 bytes").into())
+}
+
+pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
+    let speed = match a.speed.as_str() {
+        "max" => None,
+        text => {
+            let x: f64 = text.parse().unwrap_or(f64::NAN);
+            if !(x.is_finite() && x > 0.0) {
+                return Err(Error::bad("command line", "--speed", text, "a number above 0, or max").into());
+            }
+            Some(x)
+        }
+    };
+    if let Some(id) = &a.id {
+        actuator_id(id)?;
+    }
+    let replay = Replay {
+        domain: a.domain.open()?,
+        settings: Settings {
+            actuator: a.actuator.read()?,
+            maps: None,
+            run: None,
+            sequence: a.sequence.clone(),
+            sensors: a.sensors.clone(),
+            grid: sim_worker::datasets::grid("fine")?,
+        },
+        id: a.id.clone(),
+        first_run: a.run,
+        speed,
+        frame_s: positive("--frame-ms", a.frame_ms, 1000.0)? * 1e-3,
+        patience: Duration::from_secs_f64(positive("--wait", a.wait, 1e6)?),
+    };
+    let all = replay.files(&a.files, &|| !interrupted(), |d: &Delivered| {
+        let Delivered {
+            actuator,
+            run,
+            samples,
+            frames,
+            whole,
+            attempts,
+        } = d;
+        let again = if *attempts > 1 {
+            format!(", at the {attempts}. attempt")
+        } else {
+            String::new()
+        };
+        if *whole > 0 {
+            say(&format!(
+                "{actuator} run {run}: {samples} samples in {frames} frames received by {whole}{again}"
+            ));
+        } else {
+            eprintln!("{actuator} run {run}: not received: nobody has answered{again}");
+        }
+    })?;
+    Ok(if all {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(EXIT_LOSS)
+    })
+}
+
+#[derive(Args)]
+pub struct BenchLiveArgs {
+    /// Friction factor FSJ (1 = healthy)
+    #[arg(long, default_value_t = 1.0)]
+    fsj: f64,
+    /// Static eccentricity zeta (0 = healthy)
+    #[arg(long, default_value_t = 0.0)]
+    zeta: f64,
+    /// Draw the faults of every actuator and test from FSJ 1..5, zeta 0..0.5 with this seed
+    #[arg(long, conflicts_with_all = ["fsj", "zeta"])]
+    random_faults: Option<u64>,
+    /// Actuators tested side by side
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    actuators: u32,
+    /// Name of the actuator; of several, what their names begin with
+    #[arg(long, default_value = "bench")]
+    id: String,
+    /// Tests one after the other; 0: until Ctrl-C
+    #[arg(long, default_value_t = 1)]
+    tests: u64,
+    /// preflight, ramp, sine, step, chirp, multisine, or a TOML file
+    #[arg(long, default_value = "preflight")]
+    sequence: String,
+    /// Telemetry rate [Hz]
+    #[arg(long, default_value_t = 10_000.0)]
+    rate: f64,
+    /// Duration of a frame [ms]
+    #[arg(long, default_value_t = 10.0)]
+    frame_ms: f64,
+    /// none, reference, or a TOML file
+    #[arg(long, default_value = "reference")]
+    sensors: String,
+    /// Seed of the sensor noise
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Rotor angle at rest [deg]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    rest_angle_deg: f64,
+    /// Constant load torque at the motor [N m]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    load_n_m: f64,
+    #[command(flatten)]
+    domain: DomainArg,
+    #[command(flatten)]
+    actuator: ActuatorArg,
+}
+
+pub fn bench_live(a: &BenchLiveArgs) -> Result<ExitCode> {
+    let actuator = a.actuator.read()?;
+    let given = faults(a.fsj, a.zeta)?;
+    let rest_angle_rad = finite("--rest-angle-deg", a.rest_angle_deg)?.to_radians();
+    let load_n_m = finite("--load-n-m", a.load_n_m)?;
+    let sequence = sim_worker::datasets::sequence(&a.sequence)?;
+    let sensors = sim_worker::datasets::sensors(&a.sensors)?;
+    let experiment = Experiment::new(sequence, a.rate, ChannelSet::basic(), sensors, actuator.step_s)?;
+    let rows = (positive("--frame-ms", a.frame_ms, 1000.0)? * 1e-3 * a.rate)
+        .round()
+        .max(1.0) as usize;
+    let names: Vec<String> = match a.actuators {
+        1 => vec![a.id.clone()],
+        n => (1..=n).map(|i| format!("{}-{i:03}", a.id)).collect(),
+    };
+    actuator_id(&names[names.len() - 1])?;
+    let mut publisher = bench_live::publisher(&a.domain.open()?, &experiment, rows)?;
+    let mut rng = a.random_faults.map(rand_chacha::ChaCha8Rng::seed_from_u64);
+    let mut complete = true;
+    let mut number = 0;
+    while a.tests == 0 || number < a.tests {
+        let runs: Vec<Run> = (0..names.len() as u64)
+            .map(|i| Run {
+                number,
+                lane: Lane {
+                    actuator: actuator.clone(),
+                    fault: rng.as_mut().map_or(given, |r| FaultState {
+                        fsj: r.random_range(1.0..5.0),
+                        zeta: r.random_range(0.0..0.5),
+                    }),
+                    rest_angle_rad,
+                    load_n_m,
+                },
+                seed: a.seed + number * names.len() as u64 + i,
+            })
+            .collect();
+        let go_on = || !interrupted();
+        let Some(o) = bench_live::test(&mut publisher, &experiment, &runs, &names, rows, &go_on)? else {
+            return Err(crate::Interrupted.into());
+        };
+        for (run, name) in runs.iter().zip(&names) {
+            let f = run.lane.fault;
+            say(&format!("{name} run {number}: FSJ {:.4}, zeta {:.5}", f.fsj, f.zeta));
+        }
+        let lost: u64 = o.lost.iter().map(|(_, n)| n).sum();
+        eprintln!(
+            "test {number}: {} frames, {lost} lost, {} with nobody there, {} of {} actuators answered; \
+             {} frames late, by {:.1} ms at most",
+            o.frames,
+            o.unheard,
+            o.answered,
+            names.len(),
+            o.late,
+            o.worst_delay_s * 1e3
+        );
+        for (name, n) in o.lost.iter().take(10) {
+            eprintln!("lost: {n} frames of {name}");
+        }
+        complete &= lost == 0 && o.unheard == 0;
+        number += 1;
+    }
+    Ok(if complete {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(EXIT_LOSS)
+    })
+}

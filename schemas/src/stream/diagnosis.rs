@@ -1,0 +1,161 @@
+//! Diagnoses as messages.
+
+use super::domain::{Domain, failed};
+use super::wire::{to_text, wire};
+use super::{DIAGNOSIS, DIAGNOSIS_BUFFER, DIAGNOSIS_HISTORY, Ipc, MAX_NODES, MAX_PUBLISHERS, MAX_SUBSCRIBERS};
+use crate::error::Result;
+use iceoryx2::prelude::*;
+use std::time::Duration;
+
+wire! {
+    /// A diagnosis. NaN stands for what is not known.
+    DiagnosisMessage ("") {
+        schema_version: u32,
+        /// 1 located, 2 unexplained, 3 out of range, 4 incomplete
+        outcome: u32,
+        /// 1: the last word on the stream; 0: so far
+        is_final: u32,
+        /// bit `n`: the map of feature number `n` (p1, p2, p3, ripple) contradicts the others
+        contradicting: u32,
+        actuator: [u8; 32],
+        parameters: u64,
+        sequence: u64,
+        run: u64,
+        stream: u64,
+        /// number of this message from its sender, from 1 on, without gaps
+        number: u64,
+        fsj_lo: f64,
+        fsj_hi: f64,
+        fsj_estimate: f64,
+        zeta_lo: f64,
+        zeta_hi: f64,
+        zeta_estimate: f64,
+        /// size of the area in FSJ times zeta
+        area: f64,
+        coverage: f64,
+        p1_rad_per_s: f64,
+        p2_a: f64,
+        p3: f64,
+        p3_rad: f64,
+        ripple_rad_per_s: f64,
+        samples_received: u64,
+        samples_lost: u64,
+        /// when the frame that completed it was published (CLOCK_MONOTONIC) [ns]
+        telemetry_ns: u64,
+        /// when the diagnosis was published (CLOCK_MONOTONIC) [ns]
+        publish_ns: u64,
+        /// in words, UTF-8 padded with zeros; empty when located
+        reason: [u8; 512],
+    }
+}
+
+impl DiagnosisMessage {
+    pub fn set_reason(&mut self, reason: &str) {
+        self.reason = to_text(reason);
+    }
+}
+
+type Factory = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, DiagnosisMessage, ()>;
+type Events = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
+
+fn services(domain: &Domain, node: &Node<Ipc>) -> Result<(Factory, Events)> {
+    let name = DIAGNOSIS.try_into().expect("a valid name");
+    let service = node
+        .service_builder(&name)
+        .publish_subscribe::<DiagnosisMessage>()
+        .max_publishers(MAX_PUBLISHERS)
+        .max_subscribers(MAX_SUBSCRIBERS)
+        .max_nodes(MAX_NODES)
+        .history_size(DIAGNOSIS_HISTORY)
+        .subscriber_max_buffer_size(DIAGNOSIS_BUFFER)
+        .open_or_create()
+        .map_err(|e| domain.refused(DIAGNOSIS, DiagnosisMessage::wire_name(), &e))?;
+    Ok((service, domain.events(node, DIAGNOSIS)?))
+}
+
+/// Publishes diagnoses.
+pub struct DiagnosisPublisher {
+    port: iceoryx2::port::publisher::Publisher<Ipc, DiagnosisMessage, ()>,
+    notifier: iceoryx2::port::notifier::Notifier<Ipc>,
+    number: u64,
+}
+
+impl DiagnosisPublisher {
+    pub fn open(domain: &Domain, node: &Node<Ipc>) -> Result<Self> {
+        let (service, events) = services(domain, node)?;
+        Ok(Self {
+            port: service
+                .publisher_builder()
+                .create()
+                .map_err(|e| failed(DIAGNOSIS, "no publisher", e))?,
+            notifier: events
+                .notifier_builder()
+                .create()
+                .map_err(|e| failed(DIAGNOSIS, "no notifier", e))?,
+            number: 0,
+        })
+    }
+
+    /// Numbers, stamps and sends `message`.
+    pub fn send(&mut self, message: &mut DiagnosisMessage) -> Result<()> {
+        self.number += 1;
+        message.schema_version = crate::SCHEMA_VERSION;
+        message.number = self.number;
+        message.publish_ns = super::now_ns();
+        self.port
+            .send_copy(*message)
+            .map_err(|e| failed(DIAGNOSIS, "cannot be sent", e))?;
+        // a listener that has gone is no fault of the diagnosis
+        let _ = self.notifier.notify();
+        Ok(())
+    }
+}
+
+/// Receives diagnoses.
+pub struct DiagnosisSubscriber {
+    port: iceoryx2::port::subscriber::Subscriber<Ipc, DiagnosisMessage, ()>,
+    listener: iceoryx2::port::listener::Listener<Ipc>,
+    _node: Node<Ipc>,
+}
+
+impl DiagnosisSubscriber {
+    /// * `history` diagnoses sent before this subscriber came, at most [`DIAGNOSIS_HISTORY`]
+    pub fn open(domain: &Domain, history: usize) -> Result<Self> {
+        let node = domain.node()?;
+        let (service, events) = services(domain, &node)?;
+        Ok(Self {
+            port: service
+                .subscriber_builder()
+                .buffer_size(DIAGNOSIS_BUFFER)
+                .history_request(history)
+                .create()
+                .map_err(|e| failed(DIAGNOSIS, "no subscriber", e))?,
+            listener: events
+                .listener_builder()
+                .create()
+                .map_err(|e| failed(DIAGNOSIS, "no listener", e))?,
+            _node: node,
+        })
+    }
+
+    /// The next diagnosis, or `None` when `timeout` is over.
+    pub fn next(&mut self, timeout: Duration) -> Result<Option<DiagnosisMessage>> {
+        let end = std::time::Instant::now() + timeout;
+        loop {
+            let sample = self
+                .port
+                .receive()
+                .map_err(|e| failed(DIAGNOSIS, "cannot be received", e))?;
+            if let Some(sample) = sample {
+                return Ok(Some(*sample));
+            }
+            let left = end.saturating_duration_since(std::time::Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            self.listener
+                .timed_wait(|_| (), left)
+                .map_err(|e| failed(DIAGNOSIS, "cannot be waited for", e))?;
+        }
+    }
+}
