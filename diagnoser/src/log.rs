@@ -110,7 +110,7 @@ fn mend(file: &mut File) -> std::io::Result<()> {
     let len = file.seek(SeekFrom::End(0))?;
     let from = len.saturating_sub(1 << 16);
     file.seek(SeekFrom::Start(from))?;
-    file.read_to_end(&mut bytes)?;
+    Read::take(&mut *file, len - from).read_to_end(&mut bytes)?;
     if bytes.last().is_some_and(|b| *b != b'\n') {
         let end = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |i| i + 1);
         file.set_len(from + end as u64)?;

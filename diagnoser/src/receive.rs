@@ -119,9 +119,12 @@ impl Receiving {
                 publish_ns: message.publish_ns,
             };
             match self.show {
-                Show::Lines => say(&logged.to_line()),
+                // of what is known so far only an area says anything to a person
+                Show::Lines if logged.report.is_final || logged.report.diagnosis.outcome.area().is_some() => {
+                    say(&logged.to_line());
+                }
                 Show::Json => say(&logged.to_json().to_string()),
-                Show::Screen => {}
+                _ => {}
             }
             if let (Some(log), true) = (&self.log, logged.report.is_final) {
                 log.append(logged);

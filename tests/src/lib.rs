@@ -1,5 +1,7 @@
 //! What the end-to-end and validation tests share.
 
+pub mod stream;
+
 use schemas::channel::Channel;
 use schemas::fault::FaultState;
 use schemas::telemetry::Collector;

@@ -4,6 +4,7 @@ use super::domain::{Domain, failed};
 use super::wire::{to_text, wire};
 use super::{DIAGNOSIS, DIAGNOSIS_BUFFER, DIAGNOSIS_HISTORY, Ipc, MAX_NODES, MAX_PUBLISHERS, MAX_SUBSCRIBERS};
 use crate::error::Result;
+use iceoryx2::port::listener::ListenerWaitError;
 use iceoryx2::prelude::*;
 use std::time::Duration;
 
@@ -153,9 +154,10 @@ impl DiagnosisSubscriber {
             if left.is_zero() {
                 return Ok(None);
             }
-            self.listener
-                .timed_wait(|_| (), left)
-                .map_err(|e| failed(DIAGNOSIS, "cannot be waited for", e))?;
+            match self.listener.timed_wait(|_| (), left) {
+                Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
+                Err(e) => return Err(failed(DIAGNOSIS, "cannot be waited for", e)),
+            }
         }
     }
 }

@@ -112,6 +112,11 @@ impl Pass {
     pub fn stream(&self) -> u64 {
         self.header.stream
     }
+    /// Leaves a frame number out: that frame will not be sent. For those who relay the frames of
+    /// another publisher, gaps included.
+    pub fn skip_frame(&mut self) {
+        self.header.frame += 1;
+    }
     /// Frames sent so far, the first one included.
     pub fn frames(&self) -> u64 {
         self.header.frame

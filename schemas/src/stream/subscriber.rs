@@ -6,6 +6,7 @@ use super::publisher::{Factory, acknowledgements, folded, telemetry};
 use super::{ACKNOWLEDGEMENT, Ipc, TELEMETRY};
 use crate::error::Result;
 use crate::telemetry::TelemetryView;
+use iceoryx2::port::listener::ListenerWaitError;
 use iceoryx2::prelude::*;
 use std::time::Duration;
 
@@ -89,10 +90,10 @@ impl Subscriber {
 
     /// Sleeps until a publisher says that there is something, or `timeout` is over.
     pub fn wait(&self, timeout: Duration) -> Result<()> {
-        self.listener
-            .timed_wait(|_| (), timeout)
-            .map_err(|e| failed(TELEMETRY, "cannot be waited for", e))?;
-        Ok(())
+        match self.listener.timed_wait(|_| (), timeout) {
+            Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
+            Err(e) => Err(failed(TELEMETRY, "cannot be waited for", e)),
+        }
     }
 
     /// Answers the first or the last frame of a stream.
