@@ -1,5 +1,6 @@
 //! The ground side: datasets, maps, diagnoses of recordings, queries, reports, and the program `ema`.
 pub mod bench_live;
+pub mod bridge;
 pub mod case;
 pub mod cli;
 pub mod demo;

@@ -551,3 +551,88 @@ fn refuse_bad_options_of_the_stream() {
     refused(&["bench-live", "--frame-ms", "0"], &["--frame-ms", "0"]);
     refused(&["bench-live", "--id", ""], &["--id", "1 to 32"]);
 }
+
+/// Replays in one domain, diagnoses in another, with a bridge between; `prefix` is put before the
+/// programs of the far side.
+fn bridged(listen: &str, prefix: &[&str]) {
+    let (file, offline) = recording();
+    let (near, far) = (TestDomain::default(), TestDomain::default());
+    let away = |args: &[&str]| {
+        let mut all: Vec<String> = prefix.iter().map(|s| s.to_string()).collect();
+        all.push(env!("CARGO_BIN_EXE_ema-under-test").into());
+        all.extend(args.iter().map(|s| s.to_string()));
+        let mut c = Command::new(&all[0]);
+        c.args(&all[1..]).env("EMA_DOMAIN", &far.name).env("EMA_CACHE_DIR", cache());
+        Program::start(c)
+    };
+    let mut receiver = away(&["bridge", "receive", "--listen", listen]);
+    receiver.until("listening", LIMIT, |p| p.errors().contains("listening on"));
+    let said = receiver.errors();
+    let to = said.lines().last().unwrap().rsplit(' ').next().unwrap();
+    let mut sender = Program::start(ema(&near, &["bridge", "send", "--to", to]));
+    sender.until("connection", LIMIT, |p| p.errors().contains("connected"));
+    // nobody is there yet: the far diagnoser's answer is waited for
+    let args = ["replay", file.to_str().unwrap(), "--speed", "max"];
+    let mut replay = Program::start(ema(&near, &args));
+    std::thread::sleep(Duration::from_millis(200));
+    let mut live = away(&["live", "--json", "--exit-after", "1"]);
+    assert_eq!(live.code(), Some(0), "{} {}", live.errors(), receiver.errors());
+    same(offline, &finals(&live)[0]);
+    assert_eq!(replay.code(), Some(0), "{}", replay.errors());
+    assert!(replay.lines()[0].contains("received by 1"), "{:?}", replay.lines());
+    // the receiving end dies and comes again: the run is sent again until it has arrived whole
+    let mut replay = Program::start(ema(&near, &["replay", args[1], "--speed", "3"]));
+    let mut live = away(&["live", "--json", "--exit-after", "3"]);
+    live.until("something so far", LIMIT, |p| !p.json().is_empty());
+    receiver.kill();
+    let mut receiver = away(&["bridge", "receive", "--listen", to]);
+    receiver.until("listening", LIMIT, |p| p.errors().contains("listening on"));
+    assert_eq!(live.code(), Some(3), "{} {}", live.errors(), receiver.errors());
+    assert_eq!(replay.code(), Some(0), "{} {}", replay.errors(), sender.errors());
+    incomplete(&finals(&live)[0], &["died after sample"]);
+    incomplete(&finals(&live)[1], &["sample 1 is missing"]);
+    same(offline, &finals(&live)[2]);
+    sender.interrupt();
+    receiver.interrupt();
+    assert_eq!((sender.code(), receiver.code()), (Some(130), Some(130)));
+    assert_eq!((near.segments(), far.segments()), (Vec::new(), Vec::new()));
+}
+
+#[test]
+fn e2e_bridge_between_two_processes() {
+    bridged("127.0.0.1:0", &[]);
+}
+
+#[test]
+fn e2e_bridge_between_two_network_namespaces() {
+    let name = format!("ema{}", std::process::id());
+    let ip = |args: &str| {
+        let args: Vec<&str> = args.split(' ').collect();
+        let status = Command::new("ip").args(args).stderr(Stdio::null()).status();
+        status.is_ok_and(|s| s.success())
+    };
+    struct Namespace(String);
+    impl Drop for Namespace {
+        fn drop(&mut self) {
+            let _ = Command::new("ip").args(["netns", "del", &self.0]).status();
+        }
+    }
+    if !ip(&format!("netns add {name}")) {
+        println!("skipped: no network namespace can be made here");
+        return;
+    }
+    let _namespace = Namespace(name.clone());
+    let (a, b) = (format!("{name}a"), format!("{name}b"));
+    let steps = [
+        format!("link add {a} type veth peer name {b} netns {name}"),
+        format!("addr add 10.77.0.1/24 dev {a}"),
+        format!("link set {a} up"),
+        format!("-n {name} addr add 10.77.0.2/24 dev {b}"),
+        format!("-n {name} link set {b} up"),
+    ];
+    if !steps.iter().all(|s| ip(s)) {
+        println!("skipped: no pair of virtual links can be made here");
+        return;
+    }
+    bridged("10.77.0.2:7745", &["ip", "netns", "exec", &name]);
+}

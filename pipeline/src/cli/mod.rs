@@ -54,6 +54,11 @@ enum Commands {
     /// Run the numerical test bench in real time as device under test
     #[command(after_help = "Example: ema bench-live --fsj 3 --zeta 0.3 --tests 5")]
     BenchLive(stream::BenchLiveArgs),
+    /// Carry the stream between computers, as Arrow IPC over TCP
+    #[command(after_help = "Example: on one computer  ema bridge receive --listen 0.0.0.0:7745\n         \
+    on the other     ema bridge send --to HOST:7745\nThere is no encryption and no password: use it on a network that \
+    you trust, or through a tunnel.")]
+    Bridge(stream::BridgeArgs),
     /// Draw maps, diagnoses and telemetry as SVG
     #[command(after_help = "Example: ema plot maps dataset --out plots")]
     Plot(plot::PlotArgs),
@@ -144,6 +149,7 @@ pub fn main() -> ExitCode {
         Commands::Live(a) => stream::live(&a),
         Commands::Replay(a) => stream::replay(&a),
         Commands::BenchLive(a) => stream::bench_live(&a),
+        Commands::Bridge(a) => stream::bridge(&a),
         Commands::Plot(a) => plot::plot(&a),
         Commands::Bench(a) => bench(&a),
         Commands::Demo(a) => crate::demo::demo(&a.out, &a.grid, a.seeds, a.file.as_deref()).map(|()| ExitCode::SUCCESS),

@@ -1,21 +1,21 @@
-//! `ema live`, `ema replay`, `ema bench-live`.
+//! `ema live`, `ema replay`, `ema bench-live`, `ema bridge`.
 
 use super::run::{faults, finite};
 use super::{ActuatorArg, say};
-use crate::bench_live;
+use crate::{bench_live, bridge};
 use crate::case::Settings;
 use crate::maps::{self, MapRequest};
 use crate::progress::interrupted;
 use crate::replay::{Delivered, Replay};
 use anyhow::Result;
-use clap::Args;
+use clap::{Args, Subcommand};
 use diagnoser::cli::{DomainArg, LiveArgs};
 use diagnoser::live::Known;
 use diagnoser::map_library::{MapKey, MapLibrary};
 use diagnoser::receive::{MapSource, no_maps};
 use rand::{RngExt, SeedableRng};
 use schemas::channel::ChannelSet;
-use schemas::error::{EXIT_LOSS, Error};
+use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error};
 use schemas::fault::{FaultGrid, FaultState};
 use sim_worker::sensor::SensorModel;
 use sim_worker::simulate::{Experiment, Run};
@@ -296,4 +296,53 @@ pub fn bench_live(a: &BenchLiveArgs) -> Result<ExitCode> {
     } else {
         ExitCode::from(EXIT_LOSS)
     })
+}
+
+#[derive(Args)]
+pub struct BridgeArgs {
+    #[command(subcommand)]
+    direction: Direction,
+}
+
+#[derive(Subcommand)]
+enum Direction {
+    /// Send the telemetry of this computer's domain to another computer
+    Send {
+        /// HOST:PORT of the receiving bridge
+        #[arg(long, default_value = "127.0.0.1:7745")]
+        to: String,
+        #[command(flatten)]
+        common: BridgeCommon,
+    },
+    /// Publish in this computer's domain what another computer sends
+    Receive {
+        /// ADDRESS:PORT to listen on; port 0 takes a free one
+        #[arg(long, default_value = "127.0.0.1:7745")]
+        listen: String,
+        #[command(flatten)]
+        common: BridgeCommon,
+    },
+}
+
+#[derive(Args)]
+struct BridgeCommon {
+    /// How long to wait for the other bridge, or for a subscriber [s]
+    #[arg(long, default_value_t = 30.0)]
+    wait: f64,
+    #[command(flatten)]
+    domain: DomainArg,
+}
+
+pub fn bridge(a: &BridgeArgs) -> Result<ExitCode> {
+    let go_on = || !interrupted();
+    let tell = |text: &str| eprintln!("{text}");
+    let (Direction::Send { common, .. } | Direction::Receive { common, .. }) = &a.direction;
+    let patience = Duration::from_secs_f64(positive("--wait", common.wait, 1e6)?);
+    let domain = common.domain.open()?;
+    let t = match &a.direction {
+        Direction::Send { to, .. } => bridge::send(&domain, to, patience, &go_on, &tell)?,
+        Direction::Receive { listen, .. } => bridge::receive(&domain, listen, patience, &go_on, &tell)?,
+    };
+    eprintln!("{} frames of {} streams over {} connections", t.frames, t.streams, t.connections);
+    Ok(ExitCode::from(EXIT_INTERRUPTED))
 }
