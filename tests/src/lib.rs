@@ -1,5 +1,6 @@
 //! What the end-to-end and validation tests share.
 
+pub mod soak;
 pub mod stream;
 
 use schemas::channel::Channel;

@@ -636,3 +636,18 @@ fn e2e_bridge_between_two_network_namespaces() {
     }
     bridged("10.77.0.2:7745", &["ip", "netns", "exec", &name]);
 }
+
+/// A minute of it is `cargo run --release -p ema-tests --bin soak`; this is a taste.
+#[test]
+fn e2e_soak_of_a_few_kills() {
+    let (file, offline) = recording();
+    let soak = ema_tests::soak::Soak {
+        ema: Path::new(env!("CARGO_BIN_EXE_ema-under-test")),
+        cache: &cache(),
+        file,
+        offline,
+    };
+    let seen = ema_tests::soak::soak(&soak, 12, 7, |_| ());
+    println!("{seen:?}");
+    assert_eq!(seen.faults(), Vec::<String>::new());
+}
