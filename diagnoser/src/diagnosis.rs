@@ -2,7 +2,7 @@
 //! interval of FSJ; intersected over the maps, the cuts of all curves make up the area of
 //! possible faults.
 
-use crate::failure_map::{FailureMap, FailureMapSet};
+use crate::failure_map::{BandKnots, FailureMap, FailureMapSet};
 use crate::monotone;
 use schemas::fault::Interval;
 use schemas::feature::{Feature, Features};
@@ -10,11 +10,16 @@ use schemas::feature::{Feature, Features};
 /// Coverage that the bands are made for: the share of tests whose true pair lies in the hull.
 pub const COVERAGE: f64 = 0.95;
 
-/// Lines of constant zeta on which the area is looked for, and on which it is then measured.
+/// Lines of constant zeta on which an area is looked for: first every [`COARSE`]th, then the others
+/// where they may meet one.
 const SEARCH_LINES: usize = 64;
-/// Lines of each grid row on which a band is looked for.
-const LINES_A_ROW: usize = 4;
+const COARSE: usize = 4;
+/// Lines on which the area is then measured.
 const AREA_LINES: usize = 100;
+/// Accuracy of the zetas at which an area ends.
+const END_TOLERANCE: f64 = 1e-11;
+/// Accuracy of the zeta at which an area thinner than the spacing of the lines is looked for.
+const SEED_TOLERANCE: f64 = 1e-10;
 
 /// FSJ interval on one curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -98,188 +103,195 @@ struct Cut<'a> {
     value: f64,
 }
 
-impl Cut<'_> {
-    /// FSJ interval of the band on the curve at `zeta`.
-    fn interval(&self, zeta: f64) -> Option<Interval> {
-        let b = self.map.band(zeta);
-        let v = self.map.direction.0 * self.value;
-        monotone::between(&self.map.fsj, (&b.low.y, &b.low.d), (&b.high.y, &b.high.d), v)
-            .map(|(lo, hi)| Interval { lo, hi })
-    }
+/// A line of constant zeta and how far the cuts on it are from having a point in common: 0 or less
+/// if they have, infinite if one of them holds no point at all.
+#[derive(Clone, Copy)]
+struct Line {
+    zeta: f64,
+    gap: f64,
+}
 
-    /// Side on which the value lies of the band of the curve at `zeta`, in the direction in which
-    /// the map rises with zeta: 1 above, -1 below, 0 where they meet.
-    fn side(&self, zeta: f64) -> i32 {
-        let b = self.map.band(zeta);
-        let v = self.map.direction.0 * self.value;
-        let turn = (self.map.direction.0 * self.map.direction.1) as i32;
-        if v > b.high.y[b.high.y.len() - 1] {
-            turn
-        } else if v < b.low.y[0] {
-            -turn
-        } else {
-            0
-        }
-    }
-
-    /// The zetas whose curves the band meets at all; `None` if there are none. Looked for on
-    /// the grid's lines and between them.
-    fn zetas(&self) -> Option<Interval> {
-        let m = self.map;
-        let mut lines: Vec<(f64, i32)> = Vec::new();
-        for w in m.zeta.windows(2) {
-            for k in 0..LINES_A_ROW {
-                let z = w[0] + (w[1] - w[0]) * k as f64 / LINES_A_ROW as f64;
-                lines.push((z, self.side(z)));
-            }
-        }
-        let last = m.zeta[m.zeta.len() - 1];
-        lines.push((last, self.side(last)));
-        let meets = |&(_, s): &(f64, i32)| s == 0;
-        let (lo, hi) = match (lines.iter().position(meets), lines.iter().rposition(meets)) {
-            (Some(a), Some(b)) => (a, b),
-            // the band may lie between two lines: above the one and below the other
-            _ => {
-                let k = lines.windows(2).position(|w| w[0].1 > 0 && w[1].1 < 0)?;
-                (k + 1, k)
-            }
-        };
-        // bisection towards the neighbouring lines; both limits end on the outside
-        let bisect = |mut a: f64, mut b: f64, left: &dyn Fn(i32) -> bool| {
-            for _ in 0..40 {
-                let t = 0.5 * (a + b);
-                if left(self.side(t)) { a = t } else { b = t }
-            }
-            (a, b)
-        };
-        let low = if lo == 0 {
-            lines[0].0
-        } else {
-            bisect(lines[lo - 1].0, lines[lo].0, &|s| s > 0).0
-        };
-        let high = if hi + 1 >= lines.len() {
-            last
-        } else {
-            bisect(lines[hi].0, lines[hi + 1].0, &|s| s >= 0).1
-        };
-        (low <= high).then_some(Interval { lo: low, hi: high })
+impl Line {
+    fn meets(&self) -> bool {
+        self.gap <= 0.0
     }
 }
 
-/// Intersection of all cuts at one zeta, and how far the cuts are from having a point in common
-/// (0 or less: they have).
-fn common(cuts: &[Cut<'_>], zeta: f64) -> (f64, Option<Interval>) {
-    let (mut lo, mut hi) = (f64::NEG_INFINITY, f64::INFINITY);
-    for c in cuts {
-        match c.interval(zeta) {
-            Some(i) => {
-                lo = lo.max(i.lo);
-                hi = hi.min(i.hi);
-            }
-            None => return (f64::INFINITY, None),
-        }
-    }
-    (lo - hi, (lo <= hi).then_some(Interval { lo, hi }))
+/// Line `k` of `0..=n` spread evenly over a range.
+fn spread(range: Interval, k: usize, n: usize) -> f64 {
+    (range.lo + range.width() * k as f64 / n as f64).min(range.hi)
 }
 
-/// The area that the cuts have in common, if any.
-fn intersect(cuts: &[Cut<'_>]) -> Option<Area> {
-    let mut range = Interval {
-        lo: f64::NEG_INFINITY,
-        hi: f64::INFINITY,
-    };
-    for c in cuts {
-        range = range.meet(c.zetas()?)?;
-    }
-    let at = |k: usize, n: usize, r: Interval| {
-        if n == 0 {
-            r.lo
-        } else {
-            r.lo + r.width() * k as f64 / n as f64
+/// Looks for what cuts have in common.
+struct Search<'a> {
+    cuts: &'a [Cut<'a>],
+    /// FSJ grid points at which the last line of each cut met its value: upper and lower limit
+    near: Vec<(usize, usize)>,
+    /// limits of the cut at hand
+    knots: BandKnots,
+}
+
+impl<'a> Search<'a> {
+    fn of(cuts: &'a [Cut<'a>]) -> Self {
+        Self {
+            cuts,
+            near: vec![(0, 0); cuts.len()],
+            knots: BandKnots::default(),
         }
-    };
-    let gaps: Vec<f64> = (0..=SEARCH_LINES)
-        .map(|k| common(cuts, at(k, SEARCH_LINES, range)).0)
-        .collect();
-    let best = (0..gaps.len()).min_by(|&a, &b| gaps[a].total_cmp(&gaps[b]))?;
-    let step = range.width() / SEARCH_LINES as f64;
-    let inside = |z: f64| common(cuts, z).0 <= 0.0;
-    let mut seed = at(best, SEARCH_LINES, range);
-    if gaps[best] > 0.0 {
+    }
+
+    /// Intersection of all cuts at one zeta, possibly less than nothing (`lo` above `hi`); `None`
+    /// if one of them holds no point.
+    fn common(&mut self, zeta: f64) -> Option<Interval> {
+        let (mut lo, mut hi) = (f64::NEG_INFINITY, f64::INFINITY);
+        for (Cut { map, value }, near) in self.cuts.iter().zip(&mut self.near) {
+            let band = map.band_line(zeta, &mut self.knots);
+            let v = map.direction.0 * value;
+            // from where the upper limit reaches the value to where the lower one leaves it
+            lo = monotone::rises_to(&map.fsj, |k| band.high(k), v, lo, &mut near.0)?;
+            hi = monotone::rises_from(&map.fsj, |k| band.low(k), v, hi, &mut near.1)?;
+        }
+        Some(Interval { lo, hi })
+    }
+
+    /// Intersection of all cuts at one zeta, if they have a point in common.
+    fn strip(&mut self, zeta: f64) -> Option<Strip> {
+        let fsj = self.common(zeta).filter(|i| i.lo <= i.hi)?;
+        Some(Strip { zeta, fsj })
+    }
+
+    fn line(&mut self, zeta: f64) -> Line {
+        let gap = self.common(zeta).map_or(f64::INFINITY, |i| i.lo - i.hi);
+        Line { zeta, gap }
+    }
+
+    /// The zetas over which the area reaches that the cuts have in common, if any.
+    fn extent(&mut self) -> Option<Interval> {
+        let mut range = Interval {
+            lo: f64::NEG_INFINITY,
+            hi: f64::INFINITY,
+        };
+        for c in self.cuts {
+            range = range.meet(c.map.zetas(c.value, &mut self.knots)?)?;
+        }
+        let mut lines = self.search_lines(range);
+        if !lines.iter().any(Line::meets) {
+            let zetas = (0..=SEARCH_LINES).map(|k| spread(range, k, SEARCH_LINES));
+            lines = zetas.map(|zeta| self.line(zeta)).collect();
+        }
+        let hits = (lines.iter().position(Line::meets), lines.iter().rposition(Line::meets));
+        if let (Some(first), Some(last)) = hits {
+            return Some(Interval {
+                lo: self.end(lines[first], lines[first.saturating_sub(1)]),
+                hi: self.end(lines[last], lines[(last + 1).min(lines.len() - 1)]),
+            });
+        }
         // an area thinner than the spacing of the lines: look where the gap is smallest
-        let (mut a, mut b) = ((seed - step).max(range.lo), (seed + step).min(range.hi));
-        const GOLDEN: f64 = 0.618_033_988_749_894_9;
-        for _ in 0..60 {
-            let (c, d) = (b - GOLDEN * (b - a), a + GOLDEN * (b - a));
-            if common(cuts, c).0 < common(cuts, d).0 {
-                b = d
-            } else {
-                a = c
-            }
-        }
-        seed = 0.5 * (a + b);
-        if !inside(seed) {
+        let best = lines.iter().min_by(|a, b| a.gap.total_cmp(&b.gap))?;
+        let step = range.width() / SEARCH_LINES as f64;
+        let (below, above) = ((best.zeta - step).max(range.lo), (best.zeta + step).min(range.hi));
+        let seed = self.smallest_gap(below, above);
+        if !seed.meets() {
             return None;
         }
+        let below = self.line((seed.zeta - step).max(range.lo));
+        let above = self.line((seed.zeta + step).min(range.hi));
+        Some(Interval {
+            lo: self.end(seed, below),
+            hi: self.end(seed, above),
+        })
     }
-    // ends of the area: the outermost lines inside, then bisection towards the next ones
-    let hit: Vec<f64> = (0..gaps.len())
-        .filter(|&k| gaps[k] <= 0.0)
-        .map(|k| at(k, SEARCH_LINES, range))
-        .chain([seed])
-        .collect();
-    let (first, last) = hit.iter().fold((f64::MAX, f64::MIN), |(a, b), &z| (a.min(z), b.max(z)));
-    let end = |from: f64, to: f64| {
-        let (mut a, mut b) = (from, to);
-        if inside(b) {
-            return b;
+
+    /// The coarse lines over a range of zeta, and between two of them the others where the gap is so
+    /// small against its changes around that it may vanish in between: an area may have parts.
+    fn search_lines(&mut self, range: Interval) -> Vec<Line> {
+        let zeta = |k: usize| spread(range, k, SEARCH_LINES);
+        let coarse: Vec<Line> = (0..=SEARCH_LINES).step_by(COARSE).map(|k| self.line(zeta(k))).collect();
+        let mut lines = Vec::with_capacity(SEARCH_LINES + 1);
+        for (i, line) in coarse.iter().enumerate() {
+            lines.push(*line);
+            let around = &coarse[i.saturating_sub(1)..(i + 3).min(coarse.len())];
+            let change = around
+                .windows(2)
+                .map(|w| (w[1].gap - w[0].gap).abs())
+                .fold(0.0, f64::max);
+            let Some(next) = coarse.get(i + 1) else { break };
+            let apart = line.gap.min(next.gap);
+            let (both, none) = (line.gap.max(next.gap) <= 0.0, apart > change);
+            if !both && !none {
+                lines.extend((1..COARSE).map(|j| self.line(zeta(COARSE * i + j))));
+            }
         }
-        for _ in 0..40 {
-            let t = 0.5 * (a + b);
-            if inside(t) { a = t } else { b = t }
-        }
-        a
-    };
-    let zeta = Interval {
-        lo: end(first, (first - step).max(range.lo)),
-        hi: end(last, (last + step).min(range.hi)),
-    };
-    let strips: Vec<Strip> = (0..=AREA_LINES)
-        .map(|k| at(k, AREA_LINES, zeta))
-        .filter_map(|zeta| common(cuts, zeta).1.map(|fsj| Strip { zeta, fsj }))
-        .collect();
-    let fsj = strips.iter().map(|s| s.fsj).reduce(Interval::join)?;
-    // trapezoidal rule over the lines
-    let dz = zeta.width() / AREA_LINES as f64;
-    let (mut size, mut mf, mut mz) = (0.0, 0.0, 0.0);
-    for (k, s) in strips.iter().enumerate() {
-        let weight = if k == 0 || k + 1 == strips.len() { 0.5 } else { 1.0 };
-        let w = weight * s.fsj.width();
-        size += w * dz;
-        mf += w * 0.5 * (s.fsj.lo + s.fsj.hi);
-        mz += w * s.zeta;
+        lines
     }
-    let total: f64 = if dz > 0.0 { size / dz } else { 0.0 };
-    let centroid = if total > 0.0 {
-        (mf / total, mz / total)
-    } else {
-        (0.5 * (fsj.lo + fsj.hi), 0.5 * (zeta.lo + zeta.hi))
-    };
-    Some(Area {
-        strips,
-        fsj,
-        zeta,
-        centroid,
-        size,
-    })
+
+    /// The end of an area between a line that meets it and one that need not.
+    fn end(&mut self, within: Line, beyond: Line) -> f64 {
+        if beyond.meets() {
+            return beyond.zeta;
+        }
+        let gap = |zeta: f64| self.line(zeta).gap;
+        monotone::last_within(gap, (within.zeta, within.gap), (beyond.zeta, beyond.gap), END_TOLERANCE)
+    }
+
+    /// A line between two zetas that meets an area, or else the one with the smallest gap (golden section).
+    fn smallest_gap(&mut self, mut a: f64, mut b: f64) -> Line {
+        const GOLDEN: f64 = 0.618_033_988_749_894_9;
+        let inner = |a: f64, b: f64| b - GOLDEN * (b - a);
+        let outer = |a: f64, b: f64| a + GOLDEN * (b - a);
+        let (mut c, mut d) = (self.line(inner(a, b)), self.line(outer(a, b)));
+        while !c.meets() && !d.meets() && b - a > SEED_TOLERANCE {
+            if c.gap < d.gap {
+                b = d.zeta;
+                d = c;
+                c = self.line(inner(a, b));
+            } else {
+                a = c.zeta;
+                c = d;
+                d = self.line(outer(a, b));
+            }
+        }
+        if c.gap < d.gap { c } else { d }
+    }
+
+    /// The area that the cuts have in common, if any.
+    fn area(&mut self) -> Option<Area> {
+        let zeta = self.extent()?;
+        let strips: Vec<Strip> = (0..=AREA_LINES)
+            .filter_map(|k| self.strip(spread(zeta, k, AREA_LINES)))
+            .collect();
+        let fsj = strips.iter().map(|s| s.fsj).reduce(Interval::join)?;
+        // trapezoidal rule over the lines
+        let dz = zeta.width() / AREA_LINES as f64;
+        let (mut size, mut mf, mut mz) = (0.0, 0.0, 0.0);
+        for (k, s) in strips.iter().enumerate() {
+            let weight = if k == 0 || k + 1 == strips.len() { 0.5 } else { 1.0 };
+            let w = weight * s.fsj.width();
+            size += w * dz;
+            mf += w * 0.5 * (s.fsj.lo + s.fsj.hi);
+            mz += w * s.zeta;
+        }
+        let total: f64 = if dz > 0.0 { size / dz } else { 0.0 };
+        let centroid = if total > 0.0 {
+            (mf / total, mz / total)
+        } else {
+            (0.5 * (fsj.lo + fsj.hi), 0.5 * (zeta.lo + zeta.hi))
+        };
+        Some(Area {
+            strips,
+            fsj,
+            zeta,
+            centroid,
+            size,
+        })
+    }
 }
 
 /// Region of one map alone on `lines` lines of zeta, for drawings.
 pub fn region(map: &FailureMap, value: f64, zetas: impl Iterator<Item = f64>) -> Vec<Strip> {
-    let cut = Cut { map, value };
-    zetas
-        .filter_map(|zeta| cut.interval(zeta).map(|fsj| Strip { zeta, fsj }))
-        .collect()
+    let cut = [Cut { map, value }];
+    let mut search = Search::of(&cut);
+    zetas.filter_map(|zeta| search.strip(zeta)).collect()
 }
 
 /// The paper's algorithm on all maps of a set.
@@ -312,7 +324,11 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
                 .map(|m| m.feature.name());
             lacking.push(format!("no value of {}", absent.collect::<Vec<_>>().join(", ")));
         }
-        let area = if cuts.len() >= 2 { intersect(&cuts) } else { None };
+        let area = if cuts.len() >= 2 {
+            Search::of(&cuts).area()
+        } else {
+            None
+        };
         return done(Outcome::Incomplete {
             reason: lacking.join("; "),
             area,
@@ -322,38 +338,7 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
         let reason = format!("{} map(s); a diagnosis needs at least two", cuts.len());
         return done(Outcome::Incomplete { reason, area: None });
     }
-    // beyond every curve of a map
-    let beyond: Vec<String> = cuts
-        .iter()
-        .filter_map(|c| {
-            let (lo, hi) = c.map.range();
-            let m = c.map;
-            let (f, z) = (
-                [m.fsj[0], m.fsj[m.fsj.len() - 1]],
-                [m.zeta[0], m.zeta[m.zeta.len() - 1]],
-            );
-            let h = f
-                .iter()
-                .flat_map(|f| z.iter().map(|z| m.half_width(*f, *z)))
-                .fold(0.0_f64, f64::max);
-            let text = |side: &str, end: f64| {
-                format!(
-                    "{} = {:.5e} {} is {side} the map's end {end:.5e}",
-                    c.map.feature.name(),
-                    c.value,
-                    c.map.feature.unit()
-                )
-            };
-            if c.value - h > hi {
-                Some(text("above", hi))
-            } else if c.value + h < lo {
-                Some(text("below", lo))
-            } else {
-                None
-            }
-        })
-        .collect();
-    if let Some(area) = intersect(&cuts) {
+    if let Some(area) = Search::of(&cuts).area() {
         return done(Outcome::Located(area));
     }
     // would the maps meet if they went on?
@@ -363,7 +348,7 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
         .zip(&cuts)
         .map(|(map, c)| Cut { map, value: c.value })
         .collect();
-    if let Some(area) = intersect(&wide_cuts) {
+    if let Some(area) = Search::of(&wide_cuts).area() {
         let map = cuts[0].map;
         let mut sides = Vec::new();
         let (f0, f1) = (map.fsj[0], map.fsj[map.fsj.len() - 1]);
@@ -383,6 +368,7 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
             });
         }
     }
+    let beyond: Vec<String> = cuts.iter().filter_map(beyond).collect();
     if !beyond.is_empty() {
         return done(Outcome::OutOfRange {
             reason: beyond.join("; "),
@@ -390,6 +376,35 @@ pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) ->
     }
     let (contradicting, reason) = contradiction(cuts);
     done(Outcome::Unexplained { contradicting, reason })
+}
+
+/// On which side a value lies beyond every curve of its map, if it does.
+fn beyond(cut: &Cut<'_>) -> Option<String> {
+    let m = cut.map;
+    let (lo, hi) = m.range();
+    let (f, z) = (
+        [m.fsj[0], m.fsj[m.fsj.len() - 1]],
+        [m.zeta[0], m.zeta[m.zeta.len() - 1]],
+    );
+    let h = f
+        .iter()
+        .flat_map(|f| z.iter().map(|z| m.half_width(*f, *z)))
+        .fold(0.0_f64, f64::max);
+    let text = |side: &str, end: f64| {
+        format!(
+            "{} = {:.5e} {} is {side} the map's end {end:.5e}",
+            m.feature.name(),
+            cut.value,
+            m.feature.unit()
+        )
+    };
+    if cut.value - h > hi {
+        Some(text("above", hi))
+    } else if cut.value + h < lo {
+        Some(text("below", lo))
+    } else {
+        None
+    }
 }
 
 /// Which maps contradict each other: the one without which the rest agree, or the pairs that have
@@ -406,7 +421,7 @@ fn contradiction(cuts: Vec<Cut<'_>>) -> (Vec<Feature>, String) {
     };
     if cuts.len() > 2 {
         let odd: Vec<Feature> = (0..cuts.len())
-            .filter(|&i| intersect(&without(i)).is_some())
+            .filter(|&i| Search::of(&without(i)).extent().is_some())
             .map(|i| cuts[i].map.feature)
             .collect();
         if !odd.is_empty() {
@@ -426,7 +441,7 @@ fn contradiction(cuts: Vec<Cut<'_>>) -> (Vec<Feature>, String) {
                 map: cuts[k].map,
                 value: cuts[k].value,
             });
-            if intersect(&pair).is_none() {
+            if Search::of(&pair).extent().is_none() {
                 let (a, b) = (cuts[i].map.feature, cuts[j].map.feature);
                 pairs.push(format!("{} and {}", name(a), name(b)));
                 involved.extend([a, b]);

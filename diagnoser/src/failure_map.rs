@@ -1,17 +1,15 @@
 //! Failure maps (paper 4.1, 4.2): a feature over the fault grid as monotone curves.
 
+mod band_ends;
+mod set;
+
 use crate::isotonic::monotone_surface;
 use crate::monotone;
-use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
-use arrow::datatypes::{DataType, Field, Float64Type, Schema};
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use band_ends::BandEnds;
 use schemas::error::{Error, Result};
-use schemas::feature::{Feature, Features, RawFeatures};
-use schemas::recording::{Provenance, write_table};
+use schemas::feature::Feature;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::path::Path;
-use std::sync::Arc;
+pub use set::{FailureMapSet, MapSetHeader};
 
 /// Largest break of monotony that is projected away, as a share of the map's range (assumed). P3
 /// comes in whole samples; its limit is one sample if that is more.
@@ -68,6 +66,10 @@ pub struct FailureMap {
     margin: Vec<f64>,
     /// slopes of `value` across zeta
     slope: Vec<f64>,
+    /// whether the limits of the bands need no mending, between each two rows
+    plain: Vec<bool>,
+    /// ends of the band on the grid's lines and between them
+    ends: Vec<BandEnds>,
 }
 
 /// A curve of a map at one zeta, made to rise along FSJ (multiplied by the map's direction).
@@ -83,6 +85,78 @@ pub struct Curve {
 pub struct BandCurve {
     pub low: Curve,
     pub high: Curve,
+}
+
+/// The limits of a band at the FSJ grid points of one line of constant zeta, rising. Kept to be
+/// filled again: a diagnosis takes hundreds of lines.
+#[derive(Clone, Debug, Default)]
+pub struct BandKnots {
+    pub low: Vec<f64>,
+    pub high: Vec<f64>,
+}
+
+/// The band on one line of constant zeta, its limits at the FSJ grid points worked out only where
+/// they are asked for: inverting a map takes a few points of each of hundreds of lines.
+pub struct BandLine<'a> {
+    map: &'a FailureMap,
+    place: Place,
+    /// weights of the values of both rows and of their slopes in the curve
+    weights: [f64; 4],
+    /// half-width that holds everywhere
+    base: f64,
+    /// the limits where they need mending, and then all are known
+    mended: Option<&'a BandKnots>,
+}
+
+impl BandLine<'_> {
+    /// Lower limit at FSJ grid point `k`.
+    #[inline]
+    pub fn low(&self, k: usize) -> f64 {
+        match self.mended {
+            Some(knots) => knots.low[k],
+            None => self.curve(k) - self.half_width(k),
+        }
+    }
+
+    /// Upper limit at FSJ grid point `k`.
+    #[inline]
+    pub fn high(&self, k: usize) -> f64 {
+        match self.mended {
+            Some(knots) => knots.high[k],
+            None => self.curve(k) + self.half_width(k),
+        }
+    }
+
+    #[inline]
+    fn curve(&self, k: usize) -> f64 {
+        let [wa, wb, da, db] = self.weights;
+        let ((v0, v1), (d0, d1)) = (self.rows(&self.map.value, k), self.rows(&self.map.slope, k));
+        wa * v0 + wb * v1 + da * d0 + db * d1
+    }
+
+    #[inline]
+    fn half_width(&self, k: usize) -> f64 {
+        let s = self.place.share;
+        let (below, above) = self.rows(&self.map.margin, k);
+        self.base + ((1.0 - s) * below + s * above)
+    }
+
+    /// What a table holds at a FSJ grid point in the rows around the line.
+    fn rows(&self, table: &[f64], k: usize) -> (f64, f64) {
+        let n = self.map.fsj.len();
+        let i = self.place.row * n + k;
+        (table[i], table[i + n])
+    }
+}
+
+/// A zeta between two grid rows.
+struct Place {
+    /// the row below
+    row: usize,
+    /// distance of the rows
+    h: f64,
+    /// share of it that is passed
+    share: f64,
 }
 
 impl FailureMap {
@@ -162,6 +236,8 @@ impl FailureMap {
             margin: residual.clone(),
             residual,
             slope: Vec::new(),
+            plain: Vec::new(),
+            ends: Vec::new(),
         };
         map.slope = map.slopes_across();
         let left_out = map.leave_one_out(1);
@@ -203,6 +279,8 @@ impl FailureMap {
             }
         }
         map.margin = map.residual.iter().zip(&local).map(|(a, b)| a + b).collect();
+        map.plain = map.plain_rows();
+        map.ends = map.ends_of_lines();
         Ok(map)
     }
 
@@ -253,32 +331,54 @@ impl FailureMap {
         out
     }
 
+    /// The place of `zeta` (clamped to the map) between two rows.
+    fn place(&self, zeta: f64) -> Place {
+        let zeta = zeta.clamp(self.zeta[0], self.zeta[self.zeta.len() - 1]);
+        let row = monotone::piece(&self.zeta, zeta);
+        let h = self.zeta[row + 1] - self.zeta[row];
+        let share = (zeta - self.zeta[row]) / h;
+        Place { row, h, share }
+    }
+
+    /// The two rows of a table around a place.
+    fn rows<'a>(&self, table: &'a [f64], place: &Place) -> (&'a [f64], &'a [f64]) {
+        let n = self.fsj.len();
+        table[place.row * n..(place.row + 2) * n].split_at(n)
+    }
+
+    /// Weights of the values of both rows and of their slopes in the curve, rising.
+    fn weights(&self, place: &Place) -> [f64; 4] {
+        let (h, s) = (place.h, place.share);
+        let s1 = 1.0 - s;
+        let weights = [
+            s1 * s1 * (1.0 + 2.0 * s),
+            s * s * (3.0 - 2.0 * s),
+            s * s1 * s1 * h,
+            -s * s1 * s * h,
+        ];
+        weights.map(|w| self.direction.0 * w)
+    }
+
+    /// Values of the curve at the FSJ grid points, rising, written to `y`.
+    fn curve_knots(&self, place: &Place, y: &mut Vec<f64>) {
+        let [wa, wb, da, db] = self.weights(place);
+        let ((v0, v1), (d0, d1)) = (self.rows(&self.value, place), self.rows(&self.slope, place));
+        let grid = v0.iter().zip(v1).zip(d0).zip(d1);
+        y.clear();
+        y.extend(grid.map(|(((v0, v1), d0), d1)| wa * v0 + wb * v1 + da * d0 + db * d1));
+        // two monotone columns may still cross between the rows
+        make_rising(y);
+    }
+
     /// The curve over FSJ at `zeta` (clamped to the map), rising.
     pub fn curve(&self, zeta: f64) -> Curve {
-        let columns = self.fsj.len();
-        let zeta = zeta.clamp(self.zeta[0], self.zeta[self.zeta.len() - 1]);
-        let r = monotone::piece(&self.zeta, zeta);
-        let (z0, z1) = (self.zeta[r], self.zeta[r + 1]);
-        let h = z1 - z0;
-        let s = (zeta - z0) / h;
-        let s1 = 1.0 - s;
-        let (wa, wb) = (s1 * s1 * (1.0 + 2.0 * s), s * s * (3.0 - 2.0 * s));
-        let (da, db) = (s * s1 * s1 * h, -s * s1 * s * h);
-        let rise = self.direction.0;
-        let row = |v: &[f64], r: usize, c: usize| v[r * columns + c];
-        let mut y: Vec<f64> = (0..columns)
-            .map(|c| {
-                rise * (wa * row(&self.value, r, c)
-                    + wb * row(&self.value, r + 1, c)
-                    + da * row(&self.slope, r, c)
-                    + db * row(&self.slope, r + 1, c))
-            })
-            .collect();
-        // two monotone columns may still cross by a rounding between the rows
-        for c in 1..columns {
-            y[c] = y[c].max(y[c - 1]);
-        }
-        let mut d = vec![0.0; columns];
+        let mut y = Vec::new();
+        self.curve_knots(&self.place(zeta), &mut y);
+        self.through(y)
+    }
+
+    fn through(&self, y: Vec<f64>) -> Curve {
+        let mut d = vec![0.0; y.len()];
         monotone::slopes(&self.fsj, &y, &mut d);
         Curve { y, d }
     }
@@ -295,48 +395,82 @@ impl FailureMap {
         SIGMAS * b.noise + b.interpolation + b.sample
     }
 
-    /// Margins of the FSJ grid points at `zeta`: straight between the rows, whose margins already
-    /// reach over their neighbours.
-    fn margins(&self, zeta: f64) -> Vec<f64> {
-        let n = self.fsj.len();
-        let zeta = zeta.clamp(self.zeta[0], self.zeta[self.zeta.len() - 1]);
-        let r = monotone::piece(&self.zeta, zeta);
-        let s = (zeta - self.zeta[r]) / (self.zeta[r + 1] - self.zeta[r]);
-        (r * n..(r + 1) * n)
-            .map(|i| (1.0 - s) * self.margin[i] + s * self.margin[i + n])
-            .collect()
+    /// Margins at the FSJ grid points: straight between the rows, whose margins already reach over
+    /// their neighbours.
+    fn margins(&self, place: &Place) -> impl Iterator<Item = f64> {
+        let s = place.share;
+        let (below, above) = self.rows(&self.margin, place);
+        below.iter().zip(above).map(move |(a, b)| (1.0 - s) * a + s * b)
     }
 
     /// Half-width of the band at a fault pair, in the feature's unit.
     pub fn half_width(&self, fsj: f64, zeta: f64) -> f64 {
         let c = monotone::piece(&self.fsj, fsj);
-        let m = self.margins(zeta);
-        self.base() + m[c].max(m[c + 1])
+        let place = self.place(zeta);
+        self.base() + self.margins(&place).skip(c).take(2).fold(0.0, f64::max)
+    }
+
+    /// The band on the line at `zeta`; `knots` are filled if its limits need mending.
+    pub fn band_line<'a>(&'a self, zeta: f64, knots: &'a mut BandKnots) -> BandLine<'a> {
+        let place = self.place(zeta);
+        let plain = self.plain[place.row];
+        if !plain {
+            self.band_knots(zeta, knots);
+        }
+        BandLine {
+            map: self,
+            weights: self.weights(&place),
+            place,
+            base: self.base(),
+            mended: (!plain).then_some(knots),
+        }
+    }
+
+    /// Whether between each two rows the curves and both limits rise along FSJ by themselves: all
+    /// their Bezier ordinates across zeta do.
+    fn plain_rows(&self) -> Vec<bool> {
+        let (n, rise) = (self.fsj.len(), self.direction.0);
+        let ordinates = |r: usize, c: usize| {
+            let (a, b) = (r * n + c, (r + 1) * n + c);
+            let third = (self.zeta[r + 1] - self.zeta[r]) / 3.0;
+            let (v0, v1) = (self.value[a], self.value[b]);
+            let curve = [v0, v0 + third * self.slope[a], v1 - third * self.slope[b], v1];
+            let (m0, m1) = (self.margin[a], self.margin[b]);
+            let margin = [m0, (2.0 * m0 + m1) / 3.0, (m0 + 2.0 * m1) / 3.0, m1];
+            [0, 1, 2, 3].map(|q| (rise * curve[q], margin[q]))
+        };
+        let rises = |((v0, m0), (v1, m1)): ((f64, f64), (f64, f64))| v1 - v0 >= (m1 - m0).abs();
+        let plain = |r: usize| {
+            (1..n).all(|c| {
+                let pairs = ordinates(r, c - 1).into_iter().zip(ordinates(r, c));
+                pairs.into_iter().all(rises)
+            })
+        };
+        (0..self.zeta.len() - 1).map(plain).collect()
+    }
+
+    /// The limits of the band at `zeta` at the FSJ grid points, without slopes.
+    pub fn band_knots(&self, zeta: f64, knots: &mut BandKnots) {
+        let (place, base) = (self.place(zeta), self.base());
+        let BandKnots { low, high } = knots;
+        self.curve_knots(&place, low);
+        high.clear();
+        high.extend(low.iter().zip(self.margins(&place)).map(|(y, m)| y + (base + m)));
+        low.iter_mut()
+            .zip(self.margins(&place))
+            .for_each(|(y, m)| *y -= base + m);
+        // made monotone by giving way outwards
+        make_rising_from_end(low);
+        make_rising(high);
     }
 
     /// The curve at `zeta` with its band.
     pub fn band(&self, zeta: f64) -> BandCurve {
-        let c = self.curve(zeta);
-        let n = self.fsj.len();
-        let base = self.base();
-        let h: Vec<f64> = self.margins(zeta).iter().map(|m| base + m).collect();
-        let mut low: Vec<f64> = (0..n).map(|k| c.y[k] - h[k]).collect();
-        let mut high: Vec<f64> = (0..n).map(|k| c.y[k] + h[k]).collect();
-        // made monotone by giving way outwards
-        for k in (0..n - 1).rev() {
-            low[k] = low[k].min(low[k + 1]);
-        }
-        for k in 1..n {
-            high[k] = high[k].max(high[k - 1]);
-        }
-        let curve = |y: Vec<f64>| {
-            let mut d = vec![0.0; n];
-            monotone::slopes(&self.fsj, &y, &mut d);
-            Curve { y, d }
-        };
+        let mut knots = BandKnots::default();
+        self.band_knots(zeta, &mut knots);
         BandCurve {
-            low: curve(low),
-            high: curve(high),
+            low: self.through(knots.low),
+            high: self.through(knots.high),
         }
     }
 
@@ -396,210 +530,103 @@ impl FailureMap {
             residual: wider(&self.residual),
             margin: wider(&self.margin),
             slope: Vec::new(),
+            plain: Vec::new(),
+            ends: Vec::new(),
             budget: self.budget.clone(),
             ..*self
         };
         map.slope = map.slopes_across();
+        map.plain = map.plain_rows();
+        map.ends = map.ends_of_lines();
         map
     }
 }
 
-/// What a map set was made for; a diagnosis must match it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MapSetHeader {
-    pub actuator: String,
-    pub parameters: String,
-    pub sequence: String,
-    pub sequence_fingerprint: String,
-    pub rate_hz: f64,
-    /// fingerprint of the sensor model, or `none`
-    pub sensors: String,
-    pub rest_angle_rad: f64,
-    /// P2 from i_eq because the telemetry has no phase currents
-    pub equivalent_current: bool,
-    pub grid: String,
-    /// constant load torque of the runs [N m, motor side]
-    pub load_n_m: f64,
-    pub step_s: f64,
-    pub seed: u64,
-    pub commit: String,
-    /// features whose surface is not monotone enough for a map, and why
-    #[serde(default)]
-    pub left_out: Vec<String>,
+/// Whether a sequence nowhere falls. Most do not, and seeing that is quicker than mending.
+fn rises(y: &[f64]) -> bool {
+    let falls = y.iter().zip(&y[1..]).fold(false, |falls, (a, b)| falls | (b < a));
+    !falls
 }
 
-/// The maps of one actuator, sequence, rate, sensor model and rest angle.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FailureMapSet {
-    pub header: MapSetHeader,
-    /// the nominal run through the same sensors
-    pub nominal: RawFeatures,
-    pub maps: Vec<FailureMap>,
+/// Lifts each value to the greatest before it.
+fn make_rising(y: &mut [f64]) {
+    if rises(y) {
+        return;
+    }
+    let mut most = f64::NEG_INFINITY;
+    for v in y {
+        most = if *v > most { *v } else { most };
+        *v = most;
+    }
 }
 
-#[derive(Serialize, Deserialize)]
-struct Stored {
-    header: MapSetHeader,
-    nominal: [Option<f64>; 4],
-    budgets: BTreeMap<String, BandBudget>,
+/// Lowers each value to the least after it.
+fn make_rising_from_end(y: &mut [f64]) {
+    if rises(y) {
+        return;
+    }
+    let mut least = f64::INFINITY;
+    for v in y.iter_mut().rev() {
+        least = if *v < least { *v } else { least };
+        *v = least;
+    }
 }
 
-impl FailureMapSet {
-    /// Features of a run over this set's nominal run.
-    pub fn features(&self, raw: &RawFeatures) -> Features {
-        Features::over(raw, &self.nominal)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FSJ: [f64; 7] = [1.0, 1.5, 2.0, 2.5, 3.5, 4.0, 5.0];
+    const ZETA: [f64; 5] = [0.0, 0.1, 0.2, 0.35, 0.5];
+
+    fn map(feature: Feature, value: impl Fn(f64, f64) -> f64) -> FailureMap {
+        let (along, across) = feature.direction();
+        let raw = ZETA.iter().flat_map(|&z| FSJ.map(|f| value(along * f, across * z)));
+        FailureMap::build("test", feature, &FSJ, &ZETA, raw.collect(), 0.01, 0.25).unwrap()
     }
 
-    pub fn map(&self, feature: Feature) -> Option<&FailureMap> {
-        self.maps.iter().find(|m| m.feature == feature)
+    /// Maps that need no mending, and maps in steps and with plateaus, whose margins stand out.
+    fn maps() -> [FailureMap; 4] {
+        let smooth = |f: f64, z: f64| f + z;
+        let stepped = |f: f64, z: f64| (f + 6.0 * z * z.abs()).floor() + 0.05 * z;
+        let (p1, ripple) = (Feature::P1, Feature::Ripple);
+        [
+            map(p1, smooth),
+            map(ripple, smooth),
+            map(p1, stepped),
+            map(ripple, stepped),
+        ]
     }
 
-    /// Saves the maps as one Parquet table: feature, fsj, zeta, value, raw_value.
-    pub fn save(&self, path: &Path) -> Result<()> {
-        let column = |f: fn(&FailureMap, usize) -> f64| -> ArrayRef {
-            let v = self.maps.iter().flat_map(|m| (0..m.value.len()).map(move |i| f(m, i)));
-            Arc::new(Float64Array::from_iter_values(v))
-        };
-        let names = self.maps.iter().flat_map(|m| m.value.iter().map(|_| m.feature.name()));
-        let field = |n: &str, t: DataType| Field::new(n, t, false);
-        let schema = Arc::new(Schema::new(vec![
-            field("feature", DataType::Utf8),
-            field("fsj", DataType::Float64),
-            field("zeta", DataType::Float64),
-            field("value", DataType::Float64),
-            field("raw_value", DataType::Float64),
-        ]));
-        let columns: Vec<ArrayRef> = vec![
-            Arc::new(StringArray::from_iter_values(names)),
-            column(|m, i| m.fsj[i % m.fsj.len()]),
-            column(|m, i| m.zeta[i / m.fsj.len()]),
-            column(|m, i| m.value[i]),
-            column(|m, i| m.raw[i]),
-        ];
-        let h = &self.header;
-        let provenance = Provenance {
-            actuator: h.actuator.clone(),
-            parameters: h.parameters.clone(),
-            sequence: h.sequence.clone(),
-            sequence_fingerprint: h.sequence_fingerprint.clone(),
-            grid: h.grid.clone(),
-            sensors: h.sensors.clone(),
-            rate_hz: h.rate_hz,
-            step_s: h.step_s,
-            seed: h.seed,
-            load_n_m: h.load_n_m,
-            effects: String::new(),
-            commit: h.commit.clone(),
-            model: "ntb".into(),
-        };
-        let n = &self.nominal;
-        let stored = Stored {
-            header: h.clone(),
-            nominal: [n.mean_speed_rad_per_s, n.ripple_rad_per_s, n.p2_a, n.p3_rad],
-            budgets: self
-                .maps
-                .iter()
-                .map(|m| (m.feature.name().to_string(), m.budget.clone()))
-                .collect(),
-        };
-        let mut pairs = provenance.pairs();
-        pairs.push(("ema.maps".into(), serde_json::to_string(&stored).expect("plain data")));
-        let batch = RecordBatch::try_new(schema, columns).map_err(|e| Error::torn(path, e))?;
-        write_table(path, &batch, pairs)
-    }
-
-    /// Loads a saved set; refuses another schema version, torn files and incomplete grids.
-    pub fn load(path: &Path) -> Result<Self> {
-        let pairs = schemas::recording::metadata(path)?;
-        Provenance::from_pairs(path, &pairs)?;
-        let file = path.display().to_string();
-        let text = pairs
-            .get("ema.maps")
-            .ok_or_else(|| Error::bad(&file, "metadata `ema.maps`", "nothing", "a file written by `ema maps`"))?;
-        let stored: Stored = serde_json::from_str(text).map_err(|e| Error::torn(path, e))?;
-        let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
-        let input = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-        let reader = ParquetRecordBatchReaderBuilder::try_new(input)
-            .map_err(|e| torn(&e))?
-            .build()
-            .map_err(|e| torn(&e))?;
-        let mut rows: BTreeMap<Feature, Vec<[f64; 4]>> = BTreeMap::new();
-        for batch in reader {
-            let batch = batch.map_err(|e| torn(&e))?;
-            let missing = |n: &str| {
-                Error::bad(
-                    &file,
-                    "columns",
-                    format!("no `{n}` of its type"),
-                    "those of schemas/README.md",
-                )
-            };
-            let numbers = |n: &str| {
-                batch
-                    .column_by_name(n)
-                    .and_then(|c| c.as_primitive_opt::<Float64Type>())
-                    .ok_or_else(|| missing(n))
-            };
-            let names = batch.column_by_name("feature").and_then(|c| c.as_string_opt::<i32>());
-            let names = names.ok_or_else(|| missing("feature"))?;
-            let (f, z, v, r) = (
-                numbers("fsj")?,
-                numbers("zeta")?,
-                numbers("value")?,
-                numbers("raw_value")?,
-            );
-            for i in 0..batch.num_rows() {
-                let feature = Feature::from_name(names.value(i))
-                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), "p1, p2, p3, ripple"))?;
-                rows.entry(feature)
-                    .or_default()
-                    .push([f.value(i), z.value(i), v.value(i), r.value(i)]);
+    #[test]
+    fn prop_band_line_has_the_limits_of_the_band() {
+        let maps = maps();
+        let plain = maps.each_ref().map(|m| m.plain.iter().all(|p| *p));
+        assert_eq!(plain, [true, true, false, false]);
+        for map in maps {
+            let mut knots = BandKnots::default();
+            for zeta in (0..=200).map(|k| k as f64 * 2.5e-3) {
+                let (line, band) = (map.band_line(zeta, &mut knots), map.band(zeta));
+                for k in 0..FSJ.len() {
+                    assert!((line.low(k) - band.low.y[k]).abs() < 1e-12, "{zeta} {k}");
+                    assert!((line.high(k) - band.high.y[k]).abs() < 1e-12, "{zeta} {k}");
+                }
             }
         }
-        let mut maps = Vec::new();
-        for (feature, rows) in rows {
-            let axis = |k: usize| {
-                let mut v: Vec<f64> = rows.iter().map(|r| r[k]).collect();
-                v.sort_by(f64::total_cmp);
-                v.dedup();
-                v
-            };
-            let (fsj, zeta) = (axis(0), axis(1));
-            let whole = rows.len() == fsj.len() * zeta.len()
-                && fsj.len() >= 2
-                && zeta.len() >= 2
-                && rows
-                    .iter()
-                    .enumerate()
-                    .all(|(i, r)| r[0] == fsj[i % fsj.len()] && r[1] == zeta[i / fsj.len()]);
-            if !whole {
-                let found = format!("{} rows", rows.len());
-                let allowed = format!("every point of the {} x {} grid once, in order", fsj.len(), zeta.len());
-                return Err(Error::bad(&file, format!("map {}", feature.name()), found, allowed));
+    }
+
+    #[test]
+    fn prop_zetas_are_those_whose_band_holds_the_value() {
+        for map in maps() {
+            let (lo, hi) = map.range();
+            for value in (0..=60).map(|k| lo - 0.503 + (hi - lo + 1.0) * k as f64 / 60.0) {
+                let zetas = map.zetas(value, &mut BandKnots::default());
+                for zeta in (0..=200).map(|k| k as f64 * 2.5e-3) {
+                    let (band, v) = (map.band(zeta), map.direction.0 * value);
+                    let holds = band.low.y[0] <= v && v <= band.high.y[FSJ.len() - 1];
+                    assert_eq!(zetas.is_some_and(|r| r.contains(zeta)), holds, "{value} {zeta}");
+                }
             }
-            let budget = stored.budgets.get(feature.name()).cloned();
-            let budget = budget.ok_or_else(|| Error::bad(&file, "budgets", "nothing", feature.name()))?;
-            let raw = rows.iter().map(|r| r[3]).collect();
-            let mut map = FailureMap::build(&file, feature, &fsj, &zeta, raw, budget.noise, budget.sample)?;
-            map.budget = budget;
-            maps.push(map);
         }
-        if maps.len() < 2 {
-            return Err(Error::bad(&file, "maps", maps.len(), "at least two maps"));
-        }
-        let [mean_speed_rad_per_s, ripple_rad_per_s, p2_a, p3_rad] = stored.nominal;
-        let rest_angle_rad = Some(stored.header.rest_angle_rad);
-        let nominal = RawFeatures {
-            mean_speed_rad_per_s,
-            ripple_rad_per_s,
-            p2_a,
-            p3_rad,
-            rest_angle_rad,
-        };
-        Ok(Self {
-            header: stored.header,
-            nominal,
-            maps,
-        })
     }
 }

@@ -1,0 +1,213 @@
+//! The maps of one actuator, saved and loaded together.
+
+use super::{BandBudget, FailureMap};
+use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
+use arrow::datatypes::{DataType, Field, Float64Type, Schema};
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use schemas::error::{Error, Result};
+use schemas::feature::{Feature, Features, RawFeatures};
+use schemas::recording::{Provenance, write_table};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// What a map set was made for; a diagnosis must match it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MapSetHeader {
+    pub actuator: String,
+    pub parameters: String,
+    pub sequence: String,
+    pub sequence_fingerprint: String,
+    pub rate_hz: f64,
+    /// fingerprint of the sensor model, or `none`
+    pub sensors: String,
+    pub rest_angle_rad: f64,
+    /// P2 from i_eq because the telemetry has no phase currents
+    pub equivalent_current: bool,
+    pub grid: String,
+    /// constant load torque of the runs [N m, motor side]
+    pub load_n_m: f64,
+    pub step_s: f64,
+    pub seed: u64,
+    pub commit: String,
+    /// features whose surface is not monotone enough for a map, and why
+    #[serde(default)]
+    pub left_out: Vec<String>,
+}
+
+/// The maps of one actuator, sequence, rate, sensor model and rest angle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FailureMapSet {
+    pub header: MapSetHeader,
+    /// the nominal run through the same sensors
+    pub nominal: RawFeatures,
+    pub maps: Vec<FailureMap>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Stored {
+    header: MapSetHeader,
+    nominal: [Option<f64>; 4],
+    budgets: BTreeMap<String, BandBudget>,
+}
+
+impl FailureMapSet {
+    /// Features of a run over this set's nominal run.
+    pub fn features(&self, raw: &RawFeatures) -> Features {
+        Features::over(raw, &self.nominal)
+    }
+
+    pub fn map(&self, feature: Feature) -> Option<&FailureMap> {
+        self.maps.iter().find(|m| m.feature == feature)
+    }
+
+    /// Saves the maps as one Parquet table: feature, fsj, zeta, value, raw_value.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let column = |f: fn(&FailureMap, usize) -> f64| -> ArrayRef {
+            let v = self.maps.iter().flat_map(|m| (0..m.value.len()).map(move |i| f(m, i)));
+            Arc::new(Float64Array::from_iter_values(v))
+        };
+        let names = self.maps.iter().flat_map(|m| m.value.iter().map(|_| m.feature.name()));
+        let field = |n: &str, t: DataType| Field::new(n, t, false);
+        let schema = Arc::new(Schema::new(vec![
+            field("feature", DataType::Utf8),
+            field("fsj", DataType::Float64),
+            field("zeta", DataType::Float64),
+            field("value", DataType::Float64),
+            field("raw_value", DataType::Float64),
+        ]));
+        let columns: Vec<ArrayRef> = vec![
+            Arc::new(StringArray::from_iter_values(names)),
+            column(|m, i| m.fsj[i % m.fsj.len()]),
+            column(|m, i| m.zeta[i / m.fsj.len()]),
+            column(|m, i| m.value[i]),
+            column(|m, i| m.raw[i]),
+        ];
+        let h = &self.header;
+        let provenance = Provenance {
+            actuator: h.actuator.clone(),
+            parameters: h.parameters.clone(),
+            sequence: h.sequence.clone(),
+            sequence_fingerprint: h.sequence_fingerprint.clone(),
+            grid: h.grid.clone(),
+            sensors: h.sensors.clone(),
+            rate_hz: h.rate_hz,
+            step_s: h.step_s,
+            seed: h.seed,
+            load_n_m: h.load_n_m,
+            effects: String::new(),
+            commit: h.commit.clone(),
+            model: "ntb".into(),
+        };
+        let n = &self.nominal;
+        let stored = Stored {
+            header: h.clone(),
+            nominal: [n.mean_speed_rad_per_s, n.ripple_rad_per_s, n.p2_a, n.p3_rad],
+            budgets: self
+                .maps
+                .iter()
+                .map(|m| (m.feature.name().to_string(), m.budget.clone()))
+                .collect(),
+        };
+        let mut pairs = provenance.pairs();
+        pairs.push(("ema.maps".into(), serde_json::to_string(&stored).expect("plain data")));
+        let batch = RecordBatch::try_new(schema, columns).map_err(|e| Error::torn(path, e))?;
+        write_table(path, &batch, pairs)
+    }
+
+    /// Loads a saved set; refuses another schema version, torn files and incomplete grids.
+    pub fn load(path: &Path) -> Result<Self> {
+        let pairs = schemas::recording::metadata(path)?;
+        Provenance::from_pairs(path, &pairs)?;
+        let file = path.display().to_string();
+        let text = pairs
+            .get("ema.maps")
+            .ok_or_else(|| Error::bad(&file, "metadata `ema.maps`", "nothing", "a file written by `ema maps`"))?;
+        let stored: Stored = serde_json::from_str(text).map_err(|e| Error::torn(path, e))?;
+        let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
+        let input = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+        let reader = ParquetRecordBatchReaderBuilder::try_new(input)
+            .map_err(|e| torn(&e))?
+            .build()
+            .map_err(|e| torn(&e))?;
+        let mut rows: BTreeMap<Feature, Vec<[f64; 4]>> = BTreeMap::new();
+        for batch in reader {
+            let batch = batch.map_err(|e| torn(&e))?;
+            let missing = |n: &str| {
+                Error::bad(
+                    &file,
+                    "columns",
+                    format!("no `{n}` of its type"),
+                    "those of schemas/README.md",
+                )
+            };
+            let numbers = |n: &str| {
+                batch
+                    .column_by_name(n)
+                    .and_then(|c| c.as_primitive_opt::<Float64Type>())
+                    .ok_or_else(|| missing(n))
+            };
+            let names = batch.column_by_name("feature").and_then(|c| c.as_string_opt::<i32>());
+            let names = names.ok_or_else(|| missing("feature"))?;
+            let (f, z, v, r) = (
+                numbers("fsj")?,
+                numbers("zeta")?,
+                numbers("value")?,
+                numbers("raw_value")?,
+            );
+            for i in 0..batch.num_rows() {
+                let feature = Feature::from_name(names.value(i))
+                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), "p1, p2, p3, ripple"))?;
+                rows.entry(feature)
+                    .or_default()
+                    .push([f.value(i), z.value(i), v.value(i), r.value(i)]);
+            }
+        }
+        let mut maps = Vec::new();
+        for (feature, rows) in rows {
+            let axis = |k: usize| {
+                let mut v: Vec<f64> = rows.iter().map(|r| r[k]).collect();
+                v.sort_by(f64::total_cmp);
+                v.dedup();
+                v
+            };
+            let (fsj, zeta) = (axis(0), axis(1));
+            let whole = rows.len() == fsj.len() * zeta.len()
+                && fsj.len() >= 2
+                && zeta.len() >= 2
+                && rows
+                    .iter()
+                    .enumerate()
+                    .all(|(i, r)| r[0] == fsj[i % fsj.len()] && r[1] == zeta[i / fsj.len()]);
+            if !whole {
+                let found = format!("{} rows", rows.len());
+                let allowed = format!("every point of the {} x {} grid once, in order", fsj.len(), zeta.len());
+                return Err(Error::bad(&file, format!("map {}", feature.name()), found, allowed));
+            }
+            let budget = stored.budgets.get(feature.name()).cloned();
+            let budget = budget.ok_or_else(|| Error::bad(&file, "budgets", "nothing", feature.name()))?;
+            let raw = rows.iter().map(|r| r[3]).collect();
+            let mut map = FailureMap::build(&file, feature, &fsj, &zeta, raw, budget.noise, budget.sample)?;
+            map.budget = budget;
+            maps.push(map);
+        }
+        if maps.len() < 2 {
+            return Err(Error::bad(&file, "maps", maps.len(), "at least two maps"));
+        }
+        let [mean_speed_rad_per_s, ripple_rad_per_s, p2_a, p3_rad] = stored.nominal;
+        let rest_angle_rad = Some(stored.header.rest_angle_rad);
+        let nominal = RawFeatures {
+            mean_speed_rad_per_s,
+            ripple_rad_per_s,
+            p2_a,
+            p3_rad,
+            rest_angle_rad,
+        };
+        Ok(Self {
+            header: stored.header,
+            nominal,
+            maps,
+        })
+    }
+}
