@@ -38,6 +38,7 @@ pub enum Show {
     Lines,
     /// a JSON object a diagnosis
     Json,
+    Nothing,
 }
 
 /// Fetches maps: from a folder, or by making them.

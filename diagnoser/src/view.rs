@@ -17,11 +17,16 @@ use std::time::Duration;
 /// Words of trouble that stay on the screen.
 const NOTES: usize = 3;
 
+/// Narrower terminals do without the features.
+const WIDE: u16 = 140;
+
 #[derive(Clone, Default)]
 struct Picture {
     statuses: Vec<Status>,
     counts: Counts,
     notes: Vec<String>,
+    /// actuators scrolled past
+    above: usize,
 }
 
 /// The terminal, drawn by a thread of its own.
@@ -41,12 +46,22 @@ impl View {
         let thread = {
             let (picture, over) = (picture.clone(), over.clone());
             std::thread::spawn(move || {
+                let mut above = 0;
                 while !over.load(Ordering::Relaxed) {
-                    let now = picture.lock().map(|p| p.clone()).unwrap_or_default();
+                    let mut now = picture.lock().map(|p| p.clone()).unwrap_or_default();
+                    above = above.min(now.statuses.len().saturating_sub(1));
+                    now.above = above;
                     let _ = terminal.draw(|frame| draw(frame, &now));
                     if let Ok(true) = event::poll(Duration::from_millis(100))
                         && let Ok(Event::Key(key)) = event::read()
                     {
+                        match key.code {
+                            KeyCode::Down => above += 1,
+                            KeyCode::Up => above = above.saturating_sub(1),
+                            KeyCode::PageDown => above += 20,
+                            KeyCode::PageUp => above = above.saturating_sub(20),
+                            _ => {}
+                        }
                         let control = key.modifiers.contains(KeyModifiers::CONTROL);
                         if key.code == KeyCode::Char('q') || (control && key.code == KeyCode::Char('c')) {
                             stop.store(true, Ordering::Relaxed);
@@ -156,56 +171,59 @@ fn draw(frame: &mut ratatui::Frame<'_>, p: &Picture) {
     frame.render_widget(Line::from(title).bold(), top);
     let number = |x: Option<f64>, digits: usize| x.map_or("-".into(), |x| format!("{x:.digits$}"));
     let interval = |lo: f64, hi: f64, digits: usize| format!("{lo:.digits$} .. {hi:.digits$}");
-    let rows = p.statuses.iter().map(|s| {
+    let wide = frame.area().width >= WIDE;
+    let longest = p.statuses.iter().map(|s| s.actuator.chars().count()).max();
+    let mut columns: Vec<(&str, Constraint)> = vec![
+        ("actuator", Constraint::Length(longest.unwrap_or(8).clamp(8, 32) as u16)),
+        ("run", Constraint::Length(5)),
+        ("phase", Constraint::Length(9)),
+        ("test", Constraint::Length(12)),
+        ("lost", Constraint::Length(6)),
+        ("FSJ", Constraint::Length(14)),
+        ("zeta", Constraint::Length(16)),
+        ("outcome", Constraint::Length(12)),
+        ("reason", Constraint::Min(10)),
+    ];
+    if wide {
+        let features = [("P1 rad/s", 8), ("P2 A", 7), ("P3 -", 6), ("ripple", 8)];
+        columns.splice(5..5, features.map(|(name, width)| (name, Constraint::Length(width))));
+    }
+    let rows = p.statuses.iter().skip(p.above).map(|s| {
         let area = s.outcome.as_ref().and_then(|o| o.area());
         let outcome = s.outcome.as_ref().map_or("-".into(), |o| name(o, s.is_final));
         let reason = s.outcome.as_ref().map_or("", |o| o.reason());
-        let f = &s.features;
-        // before there are maps only what needs no nominal run is known
-        let p2 = f.p2_a.or(s.raw.p2_a);
-        let ripple = f.ripple_rad_per_s.or(s.raw.ripple_rad_per_s);
-        Row::new([
+        let mut cells = vec![
             Cell::from(s.actuator.clone()).bold(),
             Cell::from(s.run.to_string()),
             Cell::from(s.phase.clone()),
             Cell::from(bar(s.sample, s.samples, 12)),
             Cell::from(s.lost.to_string()).fg(if s.lost > 0 { Color::Yellow } else { Color::Gray }),
-            Cell::from(number(f.p1_rad_per_s, 5)),
-            Cell::from(number(p2, 4)),
-            Cell::from(number(f.p3, 3)),
-            Cell::from(number(ripple, 6)),
             Cell::from(area.map_or("-".into(), |a| interval(a.fsj.lo, a.fsj.hi, 3))),
             Cell::from(area.map_or("-".into(), |a| interval(a.zeta.lo, a.zeta.hi, 4))),
             Cell::from(outcome).fg(colour(s)).bold(),
             Cell::from(if s.is_final { reason.to_string() } else { String::new() }),
-        ])
+        ];
+        if wide {
+            let f = &s.features;
+            // before there are maps only what needs no nominal run is known
+            let features = [
+                number(f.p1_rad_per_s, 5),
+                number(f.p2_a.or(s.raw.p2_a), 4),
+                number(f.p3, 3),
+                number(f.ripple_rad_per_s.or(s.raw.ripple_rad_per_s), 6),
+            ];
+            cells.splice(5..5, features.map(Cell::from));
+        }
+        Row::new(cells)
     });
-    let widths = [
-        Constraint::Length(14),
-        Constraint::Length(5),
-        Constraint::Length(9),
-        Constraint::Length(12),
-        Constraint::Length(6),
-        Constraint::Length(9),
-        Constraint::Length(8),
-        Constraint::Length(7),
-        Constraint::Length(9),
-        Constraint::Length(16),
-        Constraint::Length(18),
-        Constraint::Length(12),
-        Constraint::Min(10),
-    ];
-    let head = Row::new([
-        "actuator", "run", "phase", "test", "lost", "P1 rad/s", "P2 A", "P3 -", "ripple", "FSJ", "zeta", "outcome",
-        "reason",
-    ]);
-    let table = Table::new(rows, widths)
+    let head = Row::new(columns.iter().map(|c| c.0));
+    let table = Table::new(rows, columns.iter().map(|c| c.1))
         .header(head.style(Style::new().dim()))
         .block(Block::bordered());
     frame.render_widget(table, middle);
     let notes: Vec<Line> = p.notes.iter().map(|n| Line::from(n.as_str()).yellow()).collect();
     frame.render_widget(Paragraph::new(notes), below);
-    frame.render_widget(Line::from(" q quits").dim(), bottom);
+    frame.render_widget(Line::from(" q quits   arrows and page keys scroll").dim(), bottom);
 }
 
 #[cfg(test)]
@@ -244,6 +262,7 @@ mod tests {
             statuses: vec![status],
             counts: Counts::default(),
             notes: vec!["frame refused: process 3: truncated".into()],
+            above: 0,
         };
         let backend = ratatui::backend::TestBackend::new(160, 10);
         let mut terminal = ratatui::Terminal::new(backend).unwrap();

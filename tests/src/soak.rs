@@ -173,7 +173,7 @@ pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked
         let mut touched = false;
         // who is killed during this run, and when
         let plan = rng.random_range(0..4);
-        let moment = Duration::from_micros(rng.random_range(0..400_000));
+        let moment = Duration::from_micros(rng.random_range(0..[30_000, 400_000][plan % 2]));
         let mut pending = plan > 0;
         loop {
             s.listen(Duration::from_millis(2));

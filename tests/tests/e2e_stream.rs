@@ -637,7 +637,24 @@ fn e2e_bridge_between_two_network_namespaces() {
     bridged("10.77.0.2:7745", &["ip", "netns", "exec", &name]);
 }
 
-/// A minute of it is `cargo run --release -p ema-tests --bin soak`; this is a taste.
+/// Killed while it makes the services, which iceoryx2 by itself does not recover from.
+#[test]
+fn e2e_killed_while_starting_leaves_nothing_in_the_way() {
+    let (file, offline) = recording();
+    let domain = TestDomain::default();
+    for k in 0..40 {
+        let mut p = Program::start(ema(&domain, &["live", "--plain"]));
+        std::thread::sleep(Duration::from_micros(2000 + 500 * k));
+        p.kill();
+    }
+    let mut live = live(&domain, &["--exit-after", "1"]);
+    ok(&domain, &["replay", file.to_str().unwrap(), "--speed", "max"]);
+    assert_eq!(live.code(), Some(0), "{}", live.errors());
+    same(offline, &finals(&live)[0]);
+    assert_eq!(domain.segments(), Vec::<PathBuf>::new());
+}
+
+/// Ten minutes of it are `cargo run --release -p ema-tests --bin soak`; this is a taste.
 #[test]
 fn e2e_soak_of_a_few_kills() {
     let (file, offline) = recording();

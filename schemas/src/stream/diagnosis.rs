@@ -61,15 +61,18 @@ type Events = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
 
 fn services(domain: &Domain, node: &Node<Ipc>) -> Result<(Factory, Events)> {
     let name = DIAGNOSIS.try_into().expect("a valid name");
-    let service = node
-        .service_builder(&name)
-        .publish_subscribe::<DiagnosisMessage>()
-        .max_publishers(MAX_PUBLISHERS)
-        .max_subscribers(MAX_SUBSCRIBERS)
-        .max_nodes(MAX_NODES)
-        .history_size(DIAGNOSIS_HISTORY)
-        .subscriber_max_buffer_size(DIAGNOSIS_BUFFER)
-        .open_or_create()
+    let open = || {
+        node.service_builder(&name)
+            .publish_subscribe::<DiagnosisMessage>()
+            .max_publishers(MAX_PUBLISHERS)
+            .max_subscribers(MAX_SUBSCRIBERS)
+            .max_nodes(MAX_NODES)
+            .history_size(DIAGNOSIS_HISTORY)
+            .subscriber_max_buffer_size(DIAGNOSIS_BUFFER)
+            .open_or_create()
+    };
+    let service = domain
+        .open_or_mend(open)
         .map_err(|e| domain.refused(DIAGNOSIS, DiagnosisMessage::wire_name(), &e))?;
     Ok((service, domain.events(node, DIAGNOSIS)?))
 }

@@ -6,13 +6,21 @@ use iceoryx2::config::Config;
 use iceoryx2::node::{NodeState, NodeView};
 use iceoryx2::prelude::*;
 use iceoryx2::service::Service;
-use std::time::Duration;
+use std::collections::BTreeSet;
+use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
 /// Environment variable that names the domain.
 pub const VARIABLE: &str = "EMA_DOMAIN";
 
 /// Longest name of a domain.
 const LONGEST: usize = 32;
+
+/// Longest wait for half-made services, and the time between two looks for them.
+const MENDING: Duration = Duration::from_secs(5);
+const MENDING_EVERY: Duration = Duration::from_millis(500);
 
 /// Listeners and notifiers of one event service.
 const MAX_EVENT_PORTS: usize = 128;
@@ -42,6 +50,10 @@ impl Domain {
             return Err(Error::bad("command line", "domain", name, rule));
         }
         let mut config = Config::global_config().clone();
+        // cleaning up is done by `clean`, which first mends what would make it wait for ever
+        config.global.service.cleanup_dead_nodes_on_open = false;
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
         if !name.is_empty() {
             let prefix = format!("{name}_");
             config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|e| failed(name, "no domain", e))?;
@@ -61,17 +73,25 @@ impl Domain {
 
     /// A node of this process. What dead processes left behind is removed first.
     pub fn node(&self) -> Result<Node<Ipc>> {
-        let node = NodeBuilder::new()
+        self.keep_mending();
+        let start = Instant::now();
+        while !self.mend() && start.elapsed() < MENDING {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        self.clean();
+        NodeBuilder::new()
             .config(&self.config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
-            .map_err(|e| failed("shared memory", "no node", e))?;
-        node.blocking_cleanup_dead_nodes(Duration::from_millis(500));
-        Ok(node)
+            .map_err(|e| failed("shared memory", "no node", e))
     }
 
-    /// Removes what dead processes of this domain left in shared memory.
+    /// Removes what dead processes of this domain left in shared memory, unless something is being
+    /// made just now.
     pub fn clean(&self) {
+        if !self.mend() {
+            return;
+        }
         let mut dead = Vec::new();
         let _ = Node::<Ipc>::list(&self.config, |state| {
             if let NodeState::Dead(view) = state {
@@ -81,6 +101,73 @@ impl Domain {
         });
         for view in dead {
             let _ = view.try_remove_stale_resources();
+        }
+    }
+
+    /// Files of this domain that somebody is making, or has died while making: iceoryx2 gives
+    /// shared memory its read permission, and takes a service description's write permission away,
+    /// when they are complete.
+    fn half_made(&self) -> Vec<(PathBuf, Duration)> {
+        const READABLE: u32 = 0o400;
+        const WRITABLE: u32 = 0o200;
+        let services = self.config.global.service_dir().to_string();
+        let mut found = Vec::new();
+        for (dir, is_service) in [("/dev/shm", false), (services.as_str(), true)] {
+            for e in std::fs::read_dir(dir).into_iter().flatten().flatten() {
+                if !e.file_name().to_string_lossy().starts_with(&self.prefix()) {
+                    continue;
+                }
+                let Ok(data) = e.metadata() else { continue };
+                let mode = data.permissions().mode();
+                let complete = if is_service {
+                    mode & WRITABLE == 0
+                } else {
+                    mode & READABLE != 0
+                };
+                if !complete {
+                    let age = data.modified().ok().and_then(|t| t.elapsed().ok());
+                    found.push((e.path(), age.unwrap_or_default()));
+                }
+            }
+        }
+        found
+    }
+
+    /// Removes what has been half made for longer than making takes: iceoryx2 0.10 waits for its
+    /// maker, who is dead, without end. Returns whether nothing half made is left. One process at a
+    /// time: who removes an old file must not meet the new one.
+    fn mend(&self) -> bool {
+        if self.half_made().is_empty() {
+            return true;
+        }
+        let path = format!("{}/{}mending.lock", self.config.global.root_path(), self.prefix());
+        let Ok(lock) = std::fs::File::create(path) else {
+            return false;
+        };
+        let _ = lock.lock();
+        let timeout = self.config.global.creation_timeout;
+        let all = self.half_made();
+        for (path, age) in &all {
+            if *age >= timeout {
+                let _ = std::fs::remove_file(path);
+            }
+        }
+        all.iter().all(|(_, age)| *age >= timeout)
+    }
+
+    /// From now on mends this domain now and then, for as long as the process lives: a process may
+    /// die in the making while this one waits for it.
+    fn keep_mending(&self) {
+        static MENDED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+        let Ok(mut mended) = MENDED.lock() else { return };
+        if mended.insert(self.prefix()) {
+            let domain = self.clone();
+            std::thread::spawn(move || {
+                loop {
+                    std::thread::sleep(MENDING_EVERY);
+                    domain.mend();
+                }
+            });
         }
     }
 
@@ -98,6 +185,24 @@ impl Domain {
         alive
     }
 
+    /// Opens a service, again if it stood half made because its maker was killed in the middle.
+    pub(super) fn open_or_mend<T, E: std::fmt::Debug>(
+        &self,
+        open: impl Fn() -> std::result::Result<T, E>,
+    ) -> std::result::Result<T, E> {
+        let start = Instant::now();
+        loop {
+            let result = open();
+            let why = result.as_ref().err().map(|e| format!("{e:?}")).unwrap_or_default();
+            let half_made = ["HangsInCreation", "ServiceInCorruptedState", "DoesNotExist"];
+            if !half_made.iter().any(|w| why.contains(w)) || start.elapsed() > MENDING {
+                return result;
+            }
+            self.clean();
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
     /// The event service of a name.
     pub(super) fn events(
         &self,
@@ -105,12 +210,15 @@ impl Domain {
         service: &str,
     ) -> Result<iceoryx2::service::port_factory::event::PortFactory<Ipc>> {
         let name = service.try_into().expect("a valid name");
-        node.service_builder(&name)
-            .event()
-            .max_nodes(MAX_NODES)
-            .max_listeners(MAX_EVENT_PORTS)
-            .max_notifiers(MAX_EVENT_PORTS)
-            .open_or_create()
+        let open = || {
+            node.service_builder(&name)
+                .event()
+                .max_nodes(MAX_NODES)
+                .max_listeners(MAX_EVENT_PORTS)
+                .max_notifiers(MAX_EVENT_PORTS)
+                .open_or_create()
+        };
+        self.open_or_mend(open)
             .map_err(|e| failed(service, "event service cannot be opened", e))
     }
 

@@ -47,30 +47,38 @@ pub(super) type Acknowledgements = PortFactory<Ipc, Acknowledgement, ()>;
 
 pub(super) fn telemetry(domain: &Domain, node: &Node<Ipc>) -> Result<Factory> {
     let name = TELEMETRY.try_into().expect("a valid name");
-    node.service_builder(&name)
-        .publish_subscribe::<[f64]>()
-        .user_header::<FrameHeader>()
-        .payload_alignment(Alignment::new(64).expect("a power of two"))
-        .enable_safe_overflow(false)
-        .max_publishers(MAX_PUBLISHERS)
-        .max_subscribers(MAX_SUBSCRIBERS)
-        .max_nodes(MAX_NODES)
-        .history_size(0)
-        .subscriber_max_buffer_size(BUFFER_FRAMES)
-        .subscriber_max_borrowed_samples(MAX_BORROWED)
-        .open_or_create()
+    let open = || {
+        node.service_builder(&name)
+            .publish_subscribe::<[f64]>()
+            .user_header::<FrameHeader>()
+            .payload_alignment(Alignment::new(64).expect("a power of two"))
+            .enable_safe_overflow(false)
+            .max_publishers(MAX_PUBLISHERS)
+            .max_subscribers(MAX_SUBSCRIBERS)
+            .max_nodes(MAX_NODES)
+            .history_size(0)
+            .subscriber_max_buffer_size(BUFFER_FRAMES)
+            .subscriber_max_borrowed_samples(MAX_BORROWED)
+            .open_or_create()
+    };
+    domain
+        .open_or_mend(open)
         .map_err(|e| domain.refused(TELEMETRY, FrameHeader::wire_name(), &e))
 }
 
 pub(super) fn acknowledgements(domain: &Domain, node: &Node<Ipc>) -> Result<Acknowledgements> {
     let name = ACKNOWLEDGEMENT.try_into().expect("a valid name");
-    node.service_builder(&name)
-        .publish_subscribe::<Acknowledgement>()
-        .max_publishers(MAX_SUBSCRIBERS)
-        .max_subscribers(MAX_PUBLISHERS)
-        .max_nodes(MAX_NODES)
-        .subscriber_max_buffer_size(BUFFER_FRAMES)
-        .open_or_create()
+    let open = || {
+        node.service_builder(&name)
+            .publish_subscribe::<Acknowledgement>()
+            .max_publishers(MAX_SUBSCRIBERS)
+            .max_subscribers(MAX_PUBLISHERS)
+            .max_nodes(MAX_NODES)
+            .subscriber_max_buffer_size(BUFFER_FRAMES)
+            .open_or_create()
+    };
+    domain
+        .open_or_mend(open)
         .map_err(|e| domain.refused(ACKNOWLEDGEMENT, Acknowledgement::wire_name(), &e))
 }
 
@@ -144,6 +152,11 @@ impl FrameMut {
         header.view_mut(self.sample.payload_mut())
     }
 
+    /// All values: the columns with their padding, in place.
+    pub fn payload_mut(&mut self) -> &mut [f64] {
+        self.sample.payload_mut()
+    }
+
     /// The header, for those who want to send something out of order.
     pub fn header_mut(&mut self) -> &mut FrameHeader {
         self.sample.user_header_mut()
@@ -157,7 +170,7 @@ pub struct Publisher {
     notifier: iceoryx2::port::notifier::Notifier<Ipc>,
     answers: iceoryx2::port::subscriber::Subscriber<Ipc, Acknowledgement, ()>,
     domain: Domain,
-    node: Node<Ipc>,
+    _node: Node<Ipc>,
     delivery: Delivery,
     stop: Arc<AtomicBool>,
     cleaned: Instant,
@@ -223,7 +236,7 @@ impl Publisher {
             notifier,
             answers,
             domain: domain.clone(),
-            node,
+            _node: node,
             delivery,
             stop,
             cleaned: Instant::now(),
@@ -257,7 +270,7 @@ impl Publisher {
     fn clean(&mut self) {
         if self.cleaned.elapsed().as_nanos() as u64 > CLEANING_NS {
             self.cleaned = Instant::now();
-            self.node.try_cleanup_dead_nodes();
+            self.domain.clean();
         }
     }
 

@@ -42,6 +42,7 @@ pub struct Subscriber {
     port: iceoryx2::port::subscriber::Subscriber<Ipc, [f64], FrameHeader>,
     listener: iceoryx2::port::listener::Listener<Ipc>,
     answers: iceoryx2::port::publisher::Publisher<Ipc, Acknowledgement, ()>,
+    domain: Domain,
     node: Node<Ipc>,
     id: u64,
 }
@@ -71,6 +72,7 @@ impl Subscriber {
             port,
             listener,
             answers,
+            domain: domain.clone(),
             node,
         })
     }
@@ -116,7 +118,7 @@ impl Subscriber {
     /// Publishers that are alive; what dead ones left is removed.
     pub fn publishers(&self) -> Vec<u64> {
         use iceoryx2::service::port_factory::PortFactory;
-        self.node.try_cleanup_dead_nodes();
+        self.domain.clean();
         let mut ids = Vec::new();
         self.service.dynamic_config().list_publishers(|p| {
             ids.push(folded(p.publisher_id.value()));
