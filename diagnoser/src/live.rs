@@ -11,7 +11,7 @@ use schemas::sequence::{Command, TestSequence};
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
 use schemas::telemetry::TelemetryView;
 use sim_worker::parameters::ActuatorParameters;
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
 /// Lowest telemetry rate that a diagnosis takes [Hz].
@@ -214,9 +214,16 @@ impl Track {
     }
 }
 
+/// Work that a frame has made, to be done when no frame is waiting.
+enum Task {
+    Provisional(Key),
+    Conclude(Key),
+}
+
 /// The state of all streams.
 #[derive(Default)]
 pub struct Live {
+    tasks: VecDeque<Task>,
     known: Known,
     tracks: HashMap<Key, Track>,
     plans: HashMap<(u64, u64, u64, bool), Arc<FeaturePlan>>,
@@ -476,25 +483,42 @@ impl Live {
         if track.is_final {
             return;
         }
-        let count = x.count();
         if x.is_complete() {
-            track.due = true;
-            self.conclude(key);
-        } else if count > track.counted {
-            self.provisional(key, count);
+            if !track.due {
+                track.due = true;
+                self.tasks.push_back(Task::Conclude(key));
+            }
+            return;
+        }
+        let count = x.count();
+        let maps = track.key.as_ref().and_then(|k| self.maps.get(k));
+        if count > track.counted && matches!(maps, Some(Maps::Ready(_))) {
+            track.counted = count;
+            self.tasks.push_back(Task::Provisional(key));
         }
     }
 
+    /// Does one piece of work that frames have made: an inversion takes as long as taking in fifty
+    /// frames, so frames go first. Returns whether there was any.
+    pub fn work(&mut self) -> bool {
+        let task = self.tasks.pop_front();
+        match &task {
+            Some(Task::Provisional(key)) if self.tracks.contains_key(key) => self.provisional(*key),
+            Some(Task::Conclude(key)) if self.tracks.contains_key(key) => self.conclude(*key),
+            _ => {}
+        }
+        task.is_some()
+    }
+
     /// What the maps say of the features so far.
-    fn provisional(&mut self, key: Key, count: usize) {
+    fn provisional(&mut self, key: Key) {
         let track = self.tracks.get_mut(&key).expect("called with a track");
-        let (Some(x), Some(k)) = (&track.extractor, &track.key) else {
+        let (Some(x), Some(k), false) = (&track.extractor, &track.key, track.is_final) else {
             return;
         };
         let Some(Maps::Ready(set)) = self.maps.get(k) else {
             return;
         };
-        track.counted = count;
         let features = set.features(&x.features());
         let diagnosis = diagnose(set, &features, &x.missing());
         track.features = features;
@@ -611,9 +635,28 @@ impl Live {
         }
     }
 
-    /// Whether a stream is open, so that [`Live::tick`] has something to do.
-    pub fn is_busy(&self) -> bool {
-        self.tracks.values().any(|t| !t.is_final)
+    /// Ends all streams: nobody will take their frames any more.
+    pub fn stop(&mut self) {
+        for m in self.maps.values_mut().filter(|m| matches!(m, Maps::Wanted)) {
+            *m = Maps::Refused("stopped before the maps were there".into());
+        }
+        let open: Vec<Key> = self.tracks.iter().filter(|(_, t)| !t.is_final).map(|(k, _)| *k).collect();
+        for k in open {
+            let t = self.tracks.get_mut(&k).expect("just found");
+            if !t.due {
+                let (n, of) = (t.next_sample - 1, t.run.total_rows);
+                t.fault(format!("the diagnoser was stopped after sample {n} of {of}"));
+                t.due = true;
+            }
+            self.conclude(k);
+        }
+    }
+
+    /// Whether an open stream has had no frame for `quiet_ns`, so that [`Live::tick`] may have
+    /// something to do.
+    pub fn is_waiting(&self, now_ns: u64, quiet_ns: u64) -> bool {
+        let quiet = |t: &Track| now_ns.saturating_sub(t.last_ns) > quiet_ns;
+        self.tracks.values().any(|t| !t.is_final && !t.due && quiet(t))
     }
 
     /// Whether a stream has not had its last frame yet.

@@ -200,6 +200,7 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
     };
     let mut complaint = String::new();
     let mut result = Ok(());
+    let alive = |p: u64| subscriber.publishers().contains(&p);
     while !stop.load(Ordering::Relaxed) && !enough(&r) && result.is_ok() {
         result = (|| {
             loop {
@@ -219,7 +220,6 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
                 };
                 r.counts.frames += 1;
                 let h = frame.header();
-                let alive = |p: u64| subscriber.publishers().contains(&p);
                 let answer = r.live.frame(h, frame.payload(), frame.publisher(), &alive, now_ns());
                 r.hand_out()?;
                 if let Some(n) = answer {
@@ -235,9 +235,15 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
                 r.live.maps(&key, maps.map(Arc::new));
                 r.hand_out()?;
             }
+            if r.live.work() {
+                r.hand_out()?;
+                // frames that have come meanwhile go first
+                return Ok(());
+            }
             if ticked.elapsed() > TICK {
                 ticked = Instant::now();
-                if r.live.is_busy() {
+                r.diagnoses.welcome();
+                if r.live.is_waiting(now_ns(), TICK.as_nanos() as u64) {
                     let alive = subscriber.publishers();
                     r.live.tick(now_ns(), timeout_ns, &|p| alive.contains(&p));
                     r.hand_out()?;
@@ -255,6 +261,8 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
             Ok(())
         })();
     }
+    r.live.stop();
+    result = result.and_then(|()| r.hand_out());
     if let Some(view) = view {
         view.show(r.live.statuses(), r.counts);
         view.close();

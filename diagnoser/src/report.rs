@@ -61,7 +61,7 @@ impl Logged {
             "parameters": r.run.parameters,
             "sequence": r.run.sequence,
             "run": r.run.run,
-            "stream": r.stream,
+            "stream": format!("{:016x}", r.stream),
             "final": r.is_final,
             "samples_received": r.samples_received,
             "samples_lost": r.samples_lost,
@@ -79,12 +79,10 @@ impl Logged {
         let r = &self.report;
         let d = &r.diagnosis;
         let mut line = format!("{} run {}: ", r.run.actuator, r.run.run);
-        if !r.is_final {
-            line += "so far ";
-        }
-        if r.is_final || d.outcome.area().is_none() {
-            line += &d.outcome.name().replace('_', " ");
-        }
+        line += &match r.is_final {
+            true => d.outcome.name().replace('_', " "),
+            false => "so far".into(),
+        };
         if let Some(a) = d.outcome.area() {
             line += &format!(
                 " FSJ {:.4} ({:.4} .. {:.4}), zeta {:.5} ({:.5} .. {:.5})",

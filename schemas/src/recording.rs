@@ -40,7 +40,7 @@ pub struct Provenance {
     pub seed: u64,
     /// source revision of the program
     pub commit: String,
-    /// `ntb`, `sm` or `measured`
+    /// `ntb`, `sm`, `measured`, or `stream`: recorded from a stream that named its load
     pub model: String,
 }
 

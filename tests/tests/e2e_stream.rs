@@ -637,6 +637,62 @@ fn e2e_bridge_between_two_network_namespaces() {
     bridged("10.77.0.2:7745", &["ip", "netns", "exec", &name]);
 }
 
+/// The Python interpreter of `EMA_PYTHON` (else `python3`), if it has the public bindings.
+fn python() -> Option<String> {
+    let python = std::env::var("EMA_PYTHON").unwrap_or_else(|_| "python3".into());
+    let check = ["-c", "import iceoryx2"];
+    let found = Command::new(&python).args(check).stderr(Stdio::null()).status();
+    if found.is_ok_and(|s| s.success()) {
+        return Some(python);
+    }
+    println!("skipped: no Python with iceoryx2 (pip install iceoryx2==0.10.0, EMA_PYTHON names the interpreter)");
+    None
+}
+
+#[test]
+fn e2e_python_publishes_and_subscribes() {
+    let Some(python) = python() else { return };
+    let (file, offline) = recording();
+    let domain = TestDomain::default();
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../schemas/examples/python");
+    let example = |name: &str, args: &[&str]| {
+        let mut c = Command::new(&python);
+        c.env("EMA_DOMAIN", &domain.name)
+            .env("PYTHONUNBUFFERED", "1")
+            .env("PYTHONDONTWRITEBYTECODE", "1")
+            .arg(examples.join(name))
+            .args(args);
+        Program::start(c)
+    };
+    // Python comes first, and makes the services
+    let mut diagnoses = example("watch_diagnoses.py", &["--json", "--count", "2", "--timeout", "60"]);
+    let mut telemetry = example("watch_telemetry.py", &["--count", "2", "--timeout", "60"]);
+    std::thread::sleep(Duration::from_millis(700));
+    let mut live = live(&domain, &["--exit-after", "2"]);
+    ok(&domain, &["replay", file.to_str().unwrap(), "--speed", "max"]);
+    // a Python program as acquisition
+    let dir = tempfile::tempdir().unwrap();
+    let csv = dir.path().join("run.csv");
+    let csv = csv.to_str().unwrap();
+    let args = ["run", "--fsj", "3", "--zeta", "0.3", "--sensors", "reference", "--out", csv];
+    ok(&domain, &args);
+    let mut acquisition = example("publish_telemetry.py", &[csv, "--speed", "max"]);
+    assert_eq!(acquisition.code(), Some(0), "{}", acquisition.errors());
+    assert_eq!(live.code(), Some(0), "{}", live.errors());
+    assert_eq!(telemetry.code(), Some(0), "{}", telemetry.errors());
+    assert_eq!(diagnoses.code(), Some(0), "{}", diagnoses.errors());
+    // a CSV file has 12 digits: its own diagnosis is the one to compare with
+    let of_csv: Value = serde_json::from_str(&ok(&domain, &["diagnose", csv, "--json"])).unwrap();
+    let (sent, received) = (finals(&live), diagnoses.json());
+    assert_eq!((sent.len(), received.len()), (2, 2));
+    for (offline, (sent, received)) in [offline, &of_csv].iter().zip(sent.iter().zip(&received)) {
+        same(offline, sent);
+        same(offline, received);
+    }
+    let said = telemetry.lines().join(" ");
+    assert_eq!(said.matches("30000").count(), 2, "{said}");
+}
+
 /// Killed while it makes the services, which iceoryx2 by itself does not recover from.
 #[test]
 fn e2e_killed_while_starting_leaves_nothing_in_the_way() {

@@ -270,3 +270,25 @@ fn prop_backpressure_ends_when_the_reader_is_dead_or_somebody_stops_it() {
         assert_eq!(heard, schemas::stream::BUFFER_FRAMES);
     });
 }
+
+#[test]
+fn prop_specification_and_examples_name_the_layouts() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../schemas");
+    let names = [
+        FrameHeader::wire_name(),
+        schemas::stream::frame::Acknowledgement::wire_name(),
+        schemas::stream::diagnosis::DiagnosisMessage::wire_name(),
+    ];
+    for file in ["README.md", "examples/python/ema_stream.py"] {
+        let text = std::fs::read_to_string(root.join(file)).unwrap();
+        for name in names {
+            assert!(text.contains(name), "{file} does not name {name}");
+        }
+    }
+    // every field of the header stands in the specification, at its offset
+    let text = std::fs::read_to_string(root.join("README.md")).unwrap();
+    for (field, kind, offset) in FrameHeader::FIELDS {
+        let row = format!("| `{field}` | {kind} | {offset} |");
+        assert!(text.contains(&row), "{row}");
+    }
+}

@@ -13,12 +13,16 @@ import re
 import signal
 import sys
 import time
+from importlib.metadata import version
 
-VERSION = "0.10.0"
+INSTALL = "pip install iceoryx2==0.10.0"
 try:
     import iceoryx2 as iox2
 except ImportError as e:
-    sys.exit(f"ema_stream: no iceoryx2 ({e}): pip install iceoryx2=={VERSION}")
+    sys.exit(f"ema_stream: no iceoryx2 ({e}): {INSTALL}")
+if not version("iceoryx2").startswith("0.10."):
+    # processes of different versions do not see each other, silently
+    sys.exit(f"ema_stream: iceoryx2 {version('iceoryx2')}; allowed: 0.10: {INSTALL}")
 
 SCHEMA_VERSION = 1
 
@@ -175,7 +179,7 @@ class Domain:
 
     def telemetry(self):
         service = self.node.service_builder(iox2.ServiceName.new(TELEMETRY))
-        service = service.publish_subscribe(iox2.Slice[F64]).user_header(FrameHeader)
+        service = service.publish_subscribe(iox2.Slice[Block]).user_header(FrameHeader)
         service = service.payload_alignment(iox2.Alignment.new(ALIGNMENT)).enable_safe_overflow(False)
         service = service.max_publishers(MAX_PUBLISHERS).max_subscribers(MAX_SUBSCRIBERS).max_nodes(MAX_NODES)
         service = service.history_size(0).subscriber_max_buffer_size(BUFFER_FRAMES)
@@ -209,14 +213,12 @@ class Domain:
         except Exception as e:
             wanted = struct.type_name()
             pattern = iox2.MessagingPattern.PublishSubscribe
-            details = iox2.Service.details(
-                iox2.ServiceName.new(name), self.config, pattern, iox2.ServiceType.Ipc
-            )
+            service = iox2.ServiceName.new(name)
+            details = iox2.Service.details(service, self.config, pattern, iox2.ServiceType.Ipc)
             found = [n for n in re.findall(r'data: "(ema::[^"]*)"', str(details)) if n != wanted]
             if found:
-                raise StreamError(
-                    f"{name}: schema version of those who are connected: {found[0]}; allowed: {wanted}"
-                ) from e
+                place = "schema version of those who are connected"
+                raise BadInput(f"{name}: {place}: found {found[0]}; allowed: {wanted}") from e
             raise StreamError(f"{name}: cannot be opened ({e})") from e
 
 
@@ -239,6 +241,16 @@ def _wait(listener, seconds):
 # ------------------------------------------------------------------------------------------ frames
 
 
+class Block(ctypes.Structure):
+    """Element of a frame's payload: 64 bytes."""
+
+    _fields_ = [("values", F64 * STRIDE_ROWS)]
+
+    @staticmethod
+    def type_name():
+        return "[f64; 8]"
+
+
 class Frame:
     """A frame in shared memory, received or loaned.
 
@@ -250,7 +262,7 @@ class Frame:
         self.sample = sample
         self.is_loaned = header is not None
         self.header = header or FrameHeader.from_buffer_copy(sample.user_header().contents)
-        self.values = sample.payload().len()
+        self.values = sample.payload().len() * STRIDE_ROWS
 
     def fault(self):
         """Why the frame cannot be read, or None."""
@@ -332,7 +344,8 @@ class TelemetryPublisher:
         self.service = domain.telemetry()
         values = -(-rows // STRIDE_ROWS) * STRIDE_ROWS * channels
         self._room(values)
-        builder = self.service.publisher_builder().initial_max_slice_len(values).max_loaned_samples(MAX_LOANS)
+        builder = self.service.publisher_builder().initial_max_slice_len(values // STRIDE_ROWS)
+        builder = builder.max_loaned_samples(MAX_LOANS)
         # one block of fixed size; a full queue never blocks the interpreter
         builder = builder.allocation_strategy(iox2.AllocationStrategy.Static)
         builder = builder.backpressure_strategy(iox2.BackpressureStrategy.DiscardData)
@@ -346,22 +359,25 @@ class TelemetryPublisher:
         """Refuses what shared memory cannot hold, rather than being killed when it is full."""
         if os.path.isdir("/dev/shm"):
             frames = MAX_SUBSCRIBERS * (BUFFER_FRAMES + MAX_BORROWED) + MAX_LOANS + 1
-            needed = frames * (values * 8 + ctypes.sizeof(FrameHeader) + 128)
+            needed = frames * (values * 8 + ctypes.sizeof(FrameHeader) + 256)
             fs = os.statvfs("/dev/shm")
             if needed > fs.f_bavail * fs.f_frsize:
                 found = f"found {fs.f_bavail * fs.f_frsize // 10**6} MB free"
                 raise BadInput(f"/dev/shm: {found}; allowed: {needed // 10**6} MB (or shorter frames)")
 
     def subscribers(self):
-        """Subscribers that are connected now, after those that died have been removed."""
-        self.node.try_cleanup_dead_nodes()
+        """Subscribers that are connected now, dead ones included until they are cleaned away."""
         return self.service.dynamic_config.number_of_subscribers
+
+    def clean(self):
+        """Removes what dead processes left."""
+        self.node.try_cleanup_dead_nodes()
 
     def loan(self, header):
         """A frame of `header`, to be filled column by column."""
-        values = header.stride * len(header.names()) if header.kind == SAMPLES else 1
+        blocks = header.stride // STRIDE_ROWS * len(header.names()) if header.kind == SAMPLES else 1
         try:
-            sample = self.port.loan_slice_uninit(values)
+            sample = self.port.loan_slice_uninit(blocks)
         except Exception as e:
             raise StreamError(f"{TELEMETRY}: no memory for a frame ({e})") from e
         return Frame(sample, header)

@@ -25,32 +25,41 @@ AGAIN_S = 0.05  # an unanswered first frame is sent again
 STRAGGLERS_S = 0.5  # those who do not answer are waited for so long after the first answer
 
 
-def read_csv(path):
-    """Rate [Hz], number of the first sample, columns by name."""
+def rows_of(path):
+    """Yields number and values of every line."""
     try:
-        file = open(path, newline="", encoding="utf-8-sig")
+        with open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
+            rows = csv.reader(file)
+            for row in rows:
+                if row:
+                    yield rows.line_num, [value.strip() for value in row]
     except OSError as e:
         raise ema.BadInput(f"{path}: cannot be read: {e.strerror}") from e
-    with file:
-        rows = csv.reader(file)
-        header = [name.strip() for name in next(rows, [])]
-        if missing := [n for n in ("t", *NEEDED) if header.count(n) != 1]:
-            found = ",".join(header)
-            raise ema.BadInput(f"{path}, header: found `{found}`; allowed: once each: {','.join(missing)}")
-        columns = {name: array.array("d") for name in header if name == "t" or name in ema.NAMES}
-        for row in rows:
-            place = f"{path}, line {rows.line_num}"
-            if len(row) != len(header):
-                raise ema.BadInput(f"{place}: found {len(row)} columns; allowed: {len(header)}")
-            for name, value in zip(header, row):
-                if name in columns:
-                    try:
-                        number = float(value)
-                    except ValueError:
-                        number = math.nan
-                    if not math.isfinite(number):
-                        raise ema.BadInput(f"{place}, column `{name}`: found `{value}`; allowed: a finite number")
-                    columns[name].append(number)
+    except csv.Error as e:
+        raise ema.BadInput(f"{path}: not CSV: {e}") from e
+
+
+def read_csv(path):
+    """Rate [Hz], number of the first sample, columns by name."""
+    rows = rows_of(path)
+    _, header = next(rows, (1, []))
+    if any(header.count(name) != 1 for name in ("t", *NEEDED)):
+        found, allowed = ",".join(header), ",".join(("t", *NEEDED))
+        raise ema.BadInput(f"{path}, header: found `{found}`; allowed: columns {allowed}, once each")
+    columns = {name: array.array("d") for name in header if name == "t" or name in ema.NAMES}
+    for line, row in rows:
+        if len(row) != len(header):
+            raise ema.BadInput(f"{path}, line {line}: found {len(row)} columns; allowed: {len(header)}")
+        for name, value in zip(header, row):
+            if name in columns:
+                try:
+                    number = float(value)
+                except ValueError:
+                    number = math.nan
+                if not math.isfinite(number):
+                    place = f"{path}, line {line}, column `{name}`"
+                    raise ema.BadInput(f"{place}: found `{value}`; allowed: a finite number")
+                columns[name].append(number)
     t = columns.pop("t")
     if len(t) < 2 or t[-1] <= t[0]:
         raise ema.BadInput(f"{path}: found {len(t)} rows; allowed: at least 2, times rising")
@@ -94,6 +103,7 @@ class Pass:
         while (now := time.monotonic()) < end:
             if now - sent > AGAIN_S:
                 sent = now
+                self.publisher.clean()
                 self._empty(ema.BEGIN)
             self.begun |= {a.subscriber for a in self.publisher.answers(self.header.stream, ema.BEGIN)}
             if self.begun:
@@ -107,7 +117,8 @@ class Pass:
     def samples(self, first, columns, patience_s):
         """Sends a frame, again while a subscriber's queue is full: who has it already ignores it.
 
-        False: nobody is left, or one who does not read on.
+        False: nobody is left, or one who does not read on. A rig that cannot wait counts the frame as
+        lost and goes on.
         """
         header = ema.FrameHeader.from_buffer_copy(self.header)
         header.kind = ema.SAMPLES
@@ -117,12 +128,11 @@ class Pass:
             frame = self.publisher.loan(header)
             for name, place in frame.columns():
                 place[:] = columns[name]
-            reached = self.publisher.send(frame)
-            connected = self.publisher.subscribers()
-            if reached >= max(connected, 1):
+            if self.publisher.send(frame) >= max(self.publisher.subscribers(), 1):
                 self.header.frame += 1
                 return True
-            if connected == 0 or time.monotonic() > end:
+            self.publisher.clean()
+            if self.publisher.subscribers() == 0 or time.monotonic() > end:
                 return False
             time.sleep(0.005)
 
@@ -132,14 +142,15 @@ class Pass:
         sent = self.header.frame - 1
         answers = {}
         delivered = self._empty(ema.END)
-        end, tried = time.monotonic() + patience_s, time.monotonic()
+        end, looked = time.monotonic() + patience_s, time.monotonic()
         while (now := time.monotonic()) < end:
             answers |= {a.subscriber: a.frames for a in self.publisher.answers(self.header.stream, ema.END)}
             if self.begun <= answers.keys() or len(answers) >= self.publisher.subscribers():
                 break
-            if not delivered and now - tried > AGAIN_S:
-                tried = now
-                delivered = self._empty(ema.END)
+            if now - looked > AGAIN_S:
+                looked = now
+                self.publisher.clean()
+                delivered = delivered or self._empty(ema.END)
             time.sleep(0.001)
         return len(answers), sum(frames == sent for frames in answers.values())
 
@@ -164,6 +175,8 @@ def parse():
         args.speed = math.nan
     if not args.speed > 0:
         raise ema.BadInput("--speed: allowed: a number above 0, or max")
+    if args.run < 0:
+        raise ema.BadInput(f"--run: found {args.run}; allowed: from 0 on")
     if not 0 < args.frame_ms <= 1000:
         raise ema.BadInput(f"--frame-ms: found {args.frame_ms}; allowed: above 0, at most 1000")
     return args

@@ -21,22 +21,25 @@ def known(x):
     return None if math.isnan(x) else x
 
 
+def interval(m, fault):
+    return {k: known(getattr(m, f"{fault}_{k}")) for k in ("lo", "hi", "estimate")}
+
+
 def to_dict(m):
     """The message with the keys of a log of `ema live`."""
     contradicting = [name for n, name in enumerate(ema.FEATURES) if m.contradicting >> n & 1]
     features = ("p1_rad_per_s", "p2_a", "p3", "p3_rad", "ripple_rad_per_s")
-    interval = lambda f: {k: known(getattr(m, f"{f}_{k}")) for k in ("lo", "hi", "estimate")}
     return {
         "time_ns": time.time_ns() - (ema.now_ns() - m.publish_ns),
         "actuator": ema.text(m.actuator),
         "parameters": ema.from_number(m.parameters),
         "sequence": ema.from_number(m.sequence),
         "run": m.run,
-        "stream": m.stream,
+        "stream": f"{m.stream:016x}",
         "final": bool(m.is_final),
         "outcome": ema.OUTCOMES.get(m.outcome, str(m.outcome)),
-        "fsj": interval("fsj"),
-        "zeta": interval("zeta"),
+        "fsj": interval(m, "fsj"),
+        "zeta": interval(m, "zeta"),
         "area": known(m.area),
         "coverage": m.coverage,
         "features": {f: known(getattr(m, f)) for f in features},
@@ -51,12 +54,14 @@ def to_dict(m):
 
 def to_line(m):
     """The message for a person."""
-    line = f"{ema.text(m.actuator)} run {m.run}: {'' if m.is_final else 'so far '}"
-    line += ema.OUTCOMES.get(m.outcome, f"outcome {m.outcome}").replace("_", " ")
-    if not math.isnan(m.area):
+    has_area = not math.isnan(m.area)
+    line = f"{ema.text(m.actuator)} run {m.run}:{'' if m.is_final else ' so far'}"
+    if m.is_final or not has_area:
+        line += " " + ema.OUTCOMES.get(m.outcome, f"outcome {m.outcome}").replace("_", " ")
+    if has_area:
         line += f" FSJ {m.fsj_estimate:.4f} ({m.fsj_lo:.4f} .. {m.fsj_hi:.4f})"
         line += f", zeta {m.zeta_estimate:.5f} ({m.zeta_lo:.5f} .. {m.zeta_hi:.5f})"
-    return f"{line}: {ema.text(m.reason)}" if m.reason else line
+    return f"{line}: {ema.text(m.reason)}" if m.is_final and m.reason else line
 
 
 def main():

@@ -5,6 +5,7 @@ use super::wire::{to_text, wire};
 use super::{DIAGNOSIS, DIAGNOSIS_BUFFER, DIAGNOSIS_HISTORY, Ipc, MAX_NODES, MAX_PUBLISHERS, MAX_SUBSCRIBERS};
 use crate::error::Result;
 use iceoryx2::port::listener::ListenerWaitError;
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use std::time::Duration;
 
@@ -98,6 +99,11 @@ impl DiagnosisPublisher {
                 .map_err(|e| failed(DIAGNOSIS, "no notifier", e))?,
             number: 0,
         })
+    }
+
+    /// Hands earlier diagnoses to subscribers that have come meanwhile.
+    pub fn welcome(&self) {
+        let _ = self.port.update_connections();
     }
 
     /// Numbers, stamps and sends `message`.

@@ -13,7 +13,11 @@ pub const SAMPLES: u32 = 2;
 pub const END: u32 = 3;
 
 /// Rows to which a column is padded: 64 bytes.
-const STRIDE_ROWS: usize = 8;
+pub const STRIDE_ROWS: usize = 8;
+
+/// Element of a frame's payload: 64 bytes, at 64 byte boundaries. (With single values at that
+/// alignment, iceoryx2 would reserve 64 bytes for each of them.)
+pub type Block = [f64; STRIDE_ROWS];
 
 /// The channel table as text: its numbering is part of the frame's layout.
 fn channel_table() -> String {
@@ -152,6 +156,11 @@ impl FrameHeader {
     /// f64 values that the columns of this header take.
     pub fn values(&self) -> usize {
         self.stride as usize * self.channels.count_ones() as usize
+    }
+
+    /// Payload elements that the columns of this header take.
+    pub fn blocks(&self) -> usize {
+        self.values() / STRIDE_ROWS
     }
 
     /// Sets the samples of a frame: number of the first one, and how many.

@@ -9,7 +9,7 @@
 //! * growing slices lose unread samples: all frames come from one block of memory of fixed size.
 
 use super::domain::{Domain, failed};
-use super::frame::{Acknowledgement, BEGIN, END, FrameHeader, RunDescription, SAMPLES};
+use super::frame::{Acknowledgement, BEGIN, Block, END, FrameHeader, RunDescription, SAMPLES};
 use super::{ACKNOWLEDGEMENT, BUFFER_FRAMES, Ipc, MAX_BORROWED, MAX_NODES, MAX_PUBLISHERS, MAX_SUBSCRIBERS, TELEMETRY};
 use crate::error::{Error, Result};
 use crate::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView, TelemetryViewMut};
@@ -42,14 +42,14 @@ const STRAGGLERS: Duration = Duration::from_millis(500);
 /// Frames that a publisher may hold on to at once.
 const MAX_LOANS: usize = 4;
 
-pub(super) type Factory = PortFactory<Ipc, [f64], FrameHeader>;
+pub(super) type Factory = PortFactory<Ipc, [Block], FrameHeader>;
 pub(super) type Acknowledgements = PortFactory<Ipc, Acknowledgement, ()>;
 
 pub(super) fn telemetry(domain: &Domain, node: &Node<Ipc>) -> Result<Factory> {
     let name = TELEMETRY.try_into().expect("a valid name");
     let open = || {
         node.service_builder(&name)
-            .publish_subscribe::<[f64]>()
+            .publish_subscribe::<[Block]>()
             .user_header::<FrameHeader>()
             .payload_alignment(Alignment::new(64).expect("a power of two"))
             .enable_safe_overflow(false)
@@ -142,19 +142,19 @@ pub struct Ending {
 
 /// A loaned frame in shared memory.
 pub struct FrameMut {
-    sample: iceoryx2::sample_mut::SampleMut<Ipc, [f64], FrameHeader>,
+    sample: iceoryx2::sample_mut::SampleMut<Ipc, [Block], FrameHeader>,
 }
 
 impl FrameMut {
     /// The frame's columns, to be written in place.
     pub fn view_mut(&mut self) -> TelemetryViewMut<'_> {
         let header = *self.sample.user_header();
-        header.view_mut(self.sample.payload_mut())
+        header.view_mut(self.payload_mut())
     }
 
     /// All values: the columns with their padding, in place.
     pub fn payload_mut(&mut self) -> &mut [f64] {
-        self.sample.payload_mut()
+        self.sample.payload_mut().as_flattened_mut()
     }
 
     /// The header, for those who want to send something out of order.
@@ -166,7 +166,7 @@ impl FrameMut {
 /// Publishes the frames of any number of actuators.
 pub struct Publisher {
     service: Factory,
-    port: iceoryx2::port::publisher::Publisher<Ipc, [f64], FrameHeader>,
+    port: iceoryx2::port::publisher::Publisher<Ipc, [Block], FrameHeader>,
     notifier: iceoryx2::port::notifier::Notifier<Ipc>,
     answers: iceoryx2::port::subscriber::Subscriber<Ipc, Acknowledgement, ()>,
     domain: Domain,
@@ -188,13 +188,13 @@ impl Publisher {
             ..FrameHeader::default()
         };
         largest.set_rows(1, rows.max(1));
-        let values = largest.values();
         let frames = MAX_SUBSCRIBERS * (BUFFER_FRAMES + MAX_BORROWED) + MAX_LOANS + 1;
-        room((frames * (values * 8 + size_of::<FrameHeader>() + 128)) as u64)?;
+        let transport = 256;
+        room((frames * (largest.values() * 8 + size_of::<FrameHeader>() + transport)) as u64)?;
         let stop = Arc::new(AtomicBool::new(false));
         let builder = service
             .publisher_builder()
-            .initial_max_slice_len(values)
+            .initial_max_slice_len(largest.blocks())
             .allocation_strategy(AllocationStrategy::Static)
             .max_loaned_samples(MAX_LOANS);
         let builder = match delivery {
@@ -366,7 +366,7 @@ impl Publisher {
         header.set_rows(first, rows);
         let mut sample = self
             .port
-            .loan_slice(header.values())
+            .loan_slice(header.blocks())
             .map_err(|e| failed(TELEMETRY, "no memory for a frame", e))?;
         *sample.user_header_mut() = header;
         Ok(FrameMut { sample })

@@ -1,7 +1,7 @@
 //! Receiving telemetry: frames are read where the publisher wrote them.
 
 use super::domain::{Domain, failed};
-use super::frame::{Acknowledgement, FrameFault, FrameHeader};
+use super::frame::{Acknowledgement, Block, FrameFault, FrameHeader};
 use super::publisher::{Factory, acknowledgements, folded, telemetry};
 use super::{ACKNOWLEDGEMENT, Ipc, TELEMETRY};
 use crate::error::Result;
@@ -12,7 +12,7 @@ use std::time::Duration;
 
 /// A received frame; its memory goes back to the publisher when it is dropped.
 pub struct Frame {
-    pub(super) sample: iceoryx2::sample::Sample<Ipc, [f64], FrameHeader>,
+    pub(super) sample: iceoryx2::sample::Sample<Ipc, [Block], FrameHeader>,
 }
 
 impl Frame {
@@ -22,7 +22,7 @@ impl Frame {
 
     /// All values, as they lie in shared memory.
     pub fn payload(&self) -> &[f64] {
-        self.sample.payload()
+        self.sample.payload().as_flattened()
     }
 
     /// The columns in place, checked.
@@ -39,7 +39,7 @@ impl Frame {
 /// Receives the frames of all publishers of a domain.
 pub struct Subscriber {
     service: Factory,
-    port: iceoryx2::port::subscriber::Subscriber<Ipc, [f64], FrameHeader>,
+    port: iceoryx2::port::subscriber::Subscriber<Ipc, [Block], FrameHeader>,
     listener: iceoryx2::port::listener::Listener<Ipc>,
     answers: iceoryx2::port::publisher::Publisher<Ipc, Acknowledgement, ()>,
     domain: Domain,
