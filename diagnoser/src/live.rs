@@ -239,6 +239,7 @@ impl Live {
     pub fn new(known: Known) -> Self {
         Self {
             known,
+            tasks: VecDeque::with_capacity(1024),
             ..Self::default()
         }
     }
