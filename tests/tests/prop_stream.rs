@@ -57,7 +57,8 @@ fn send_all(publisher: &mut Publisher) -> usize {
 /// Reads sample frames until the last one, answering as a subscriber should.
 fn read_all(subscriber: &Subscriber, stop: &AtomicBool) -> Vec<f64> {
     let mut got = Vec::new();
-    while !stop.load(Ordering::Relaxed) {
+    let start = std::time::Instant::now();
+    while !stop.load(Ordering::Relaxed) && start.elapsed() < LIMIT {
         while let Some(f) = subscriber.receive().unwrap() {
             let h = *f.header();
             match h.kind {
