@@ -1,24 +1,23 @@
 //! Live diagnosis without input or output: frames in, diagnoses out. Every stream that is seen
 //! ends in exactly one final diagnosis, and what was lost or wrong is said in it.
 
+mod track;
+
 use crate::diagnosis::{Diagnosis, Outcome, diagnose};
 use crate::extractor::{FeatureExtractor, FeaturePlan};
 use crate::failure_map::FailureMapSet;
 use crate::map_library::MapKey;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::feature::{Features, RawFeatures};
-use schemas::sequence::{Command, TestSequence};
+use schemas::sequence::TestSequence;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
-use schemas::telemetry::TelemetryView;
 use sim_worker::parameters::ActuatorParameters;
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
+use track::Track;
 
 /// Lowest telemetry rate that a diagnosis takes [Hz].
 pub const LOWEST_RATE_HZ: f64 = 1000.0;
-
-/// Faults of a stream that are named one by one; the others are counted.
-const NAMED: usize = 4;
 
 /// Finished streams remembered per actuator, so that a late frame does not look like a new run.
 const REMEMBERED: usize = 8;
@@ -84,135 +83,6 @@ enum Maps {
 }
 
 type Key = ([u8; 32], u64);
-
-/// A range of samples or frames that did not come.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Gap {
-    from: u64,
-    to: u64,
-}
-
-/// One stream.
-struct Track {
-    run: RunDescription,
-    header: FrameHeader,
-    publisher: u64,
-    sequence: Option<TestSequence>,
-    channels: ChannelSet,
-    extractor: Option<FeatureExtractor>,
-    key: Option<MapKey>,
-    next_frame: u64,
-    next_sample: u64,
-    received: u64,
-    /// sample frames that came before the first gap in the frames' numbers
-    whole_frames: u64,
-    /// no frame number has been left out
-    is_unbroken: bool,
-    lost: Vec<Gap>,
-    lost_samples: u64,
-    faults: Vec<String>,
-    fault_count: u64,
-    counted: usize,
-    last_ns: u64,
-    telemetry_ns: u64,
-    outcome: Option<Outcome>,
-    features: Features,
-    /// nothing more is to be expected of the samples: a final diagnosis is due
-    due: bool,
-    is_final: bool,
-    ended: bool,
-}
-
-impl Track {
-    fn fault(&mut self, what: String) {
-        self.fault_count += 1;
-        if self.faults.len() < NAMED {
-            self.faults.push(what);
-        }
-    }
-
-    /// What is wrong with the stream, in words.
-    fn notes(&self) -> Vec<String> {
-        let mut v = self.faults.clone();
-        if self.fault_count > self.faults.len() as u64 {
-            v.push(format!("and {} more", self.fault_count - self.faults.len() as u64));
-        }
-        if self.lost_samples > 0 {
-            let named = self.lost.iter().take(NAMED);
-            let list: Vec<String> = named
-                .map(|g| {
-                    if g.from == g.to {
-                        g.from.to_string()
-                    } else {
-                        format!("{}..{}", g.from, g.to)
-                    }
-                })
-                .collect();
-            let more = if self.lost.len() > NAMED { ", ..." } else { "" };
-            v.push(format!(
-                "{} samples lost ({}{more})",
-                self.lost_samples,
-                list.join(", ")
-            ));
-        }
-        v
-    }
-
-    /// Samples from the expected one up to the one before `first` did not come.
-    fn skip_to(&mut self, first: u64) {
-        if first > self.next_sample {
-            self.lost.push(Gap {
-                from: self.next_sample,
-                to: first - 1,
-            });
-            self.lost_samples += first - self.next_sample;
-            self.next_sample = first;
-        }
-    }
-
-    fn begins(&self) -> bool {
-        self.lost.first().is_none_or(|g| g.from > 1)
-    }
-
-    fn status(&self) -> Status {
-        let sample = self.next_sample - 1;
-        Status {
-            actuator: self.run.actuator.clone(),
-            run: self.run.run,
-            process: self.header.process,
-            phase: self.phase(sample),
-            sample,
-            samples: self.run.total_rows,
-            lost: self.lost_samples,
-            raw: self.extractor.as_ref().map(|x| x.features()).unwrap_or_default(),
-            features: self.features,
-            outcome: self.outcome.clone(),
-            is_final: self.is_final,
-        }
-    }
-
-    fn phase(&self, sample: u64) -> String {
-        if self.ended {
-            return "ended".into();
-        }
-        let t = sample as f64 / self.run.rate_hz;
-        let segment = self
-            .sequence
-            .iter()
-            .flat_map(|s| &s.segments)
-            .rev()
-            .find(|s| s.start_s <= t);
-        let name = segment.map_or("-", |s| match s.command {
-            Command::Ramp { .. } => "ramp",
-            Command::Hold { .. } => "hold",
-            Command::Sine { .. } => "sine",
-            Command::Step { .. } => "step",
-            Command::Chirp { .. } => "chirp",
-            Command::Multisine { .. } => "multisine",
-        });
-        name.into()
-    }
-}
 
 /// Work that a frame has made, to be done when no frame is waiting.
 enum Task {
@@ -328,32 +198,8 @@ impl Live {
     /// A new stream.
     fn open(&mut self, header: &FrameHeader, publisher: u64, is_alive: &dyn Fn(u64) -> bool, now_ns: u64) {
         let run = header.description();
-        let mut track = Track {
-            header: *header,
-            publisher,
-            sequence: self.known.sequence(&run.sequence).cloned(),
-            channels: ChannelSet::default(),
-            extractor: None,
-            key: None,
-            next_frame: 0,
-            next_sample: 1,
-            received: 0,
-            whole_frames: 0,
-            is_unbroken: true,
-            lost: Vec::with_capacity(16),
-            lost_samples: 0,
-            faults: Vec::new(),
-            fault_count: 0,
-            counted: 0,
-            last_ns: now_ns,
-            telemetry_ns: header.publish_ns,
-            outcome: None,
-            features: Features::default(),
-            due: false,
-            is_final: false,
-            ended: false,
-            run,
-        };
+        let sequence = self.known.sequence(&run.sequence).cloned();
+        let mut track = Track::new(header, sequence, publisher, now_ns);
         if let Err(why) = self.prepare(&mut track) {
             track.fault(why);
             track.due = true;
@@ -641,7 +487,12 @@ impl Live {
         for m in self.maps.values_mut().filter(|m| matches!(m, Maps::Wanted)) {
             *m = Maps::Refused("stopped before the maps were there".into());
         }
-        let open: Vec<Key> = self.tracks.iter().filter(|(_, t)| !t.is_final).map(|(k, _)| *k).collect();
+        let open: Vec<Key> = self
+            .tracks
+            .iter()
+            .filter(|(_, t)| !t.is_final)
+            .map(|(k, _)| *k)
+            .collect();
         for k in open {
             let t = self.tracks.get_mut(&k).expect("just found");
             if !t.due {
@@ -687,52 +538,5 @@ impl Live {
         let mut v: Vec<Status> = newest.values().map(|t| t.status()).collect();
         v.sort_by(|a, b| a.actuator.cmp(&b.actuator));
         v
-    }
-}
-
-impl Track {
-    /// Samples of a frame that is not older than the expected one.
-    fn samples(&mut self, header: &FrameHeader, view: &TelemetryView<'_>) {
-        if header.rate_hz != self.run.rate_hz || header.channels != self.header.channels {
-            let n = header.frame;
-            self.fault(format!(
-                "frame {n}: rate or channels are not those of the stream's start"
-            ));
-            return;
-        }
-        if view.first < self.next_sample {
-            self.fault(format!(
-                "frame {}: samples from {} on came before",
-                header.frame, view.first
-            ));
-            return;
-        }
-        for c in self.channels.iter() {
-            let column = view.column(c).expect("checked when the stream was opened");
-            if let Some(i) = column.iter().position(|v| !v.is_finite()) {
-                let n = view.first + i as u64;
-                self.fault(format!("`{}` is {} at sample {n}", c.name(), column[i]));
-                return;
-            }
-        }
-        self.skip_to(view.first);
-        self.next_sample += view.rows as u64;
-        self.received += view.rows as u64;
-        self.telemetry_ns = header.publish_ns;
-        if let Some(x) = &mut self.extractor {
-            x.push(view);
-        }
-    }
-
-    fn report(&self, diagnosis: Diagnosis, is_final: bool) -> Report {
-        Report {
-            run: self.run.clone(),
-            stream: self.header.stream,
-            is_final,
-            diagnosis,
-            samples_received: self.received,
-            samples_lost: self.lost_samples,
-            telemetry_ns: self.telemetry_ns,
-        }
     }
 }

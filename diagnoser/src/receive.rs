@@ -72,7 +72,10 @@ pub struct Counts {
     pub failures: u64,
 }
 
-fn fetch_maps(source: MapSource) -> (Sender<MapKey>, Receiver<(MapKey, Result<FailureMapSet, String>)>) {
+/// Maps that were asked for, or why they cannot be had.
+type Fetched = (MapKey, Result<FailureMapSet, String>);
+
+fn fetch_maps(source: MapSource) -> (Sender<MapKey>, Receiver<Fetched>) {
     let (ask, asked) = channel::<MapKey>();
     let (tell, told) = channel();
     std::thread::spawn(move || {

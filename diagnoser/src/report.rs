@@ -188,7 +188,8 @@ pub fn to_batch(rows: &[Logged]) -> RecordBatch {
         false,
         text(&|r| r.report.diagnosis.outcome.name().into()),
     );
-    let of_area: [(&str, fn(&Area) -> f64); 7] = [
+    type OfArea = fn(&Area) -> f64;
+    let of_area: [(&str, OfArea); 7] = [
         ("fsj_lo", |a| a.fsj.lo),
         ("fsj_hi", |a| a.fsj.hi),
         ("fsj_estimate", |a| a.centroid.0),

@@ -31,7 +31,11 @@ const FRAMES: usize = 2000;
 const WARM_UP: usize = 100;
 
 fn domain() -> Domain {
-    Domain::new(&format!("bench-{}", std::env::var("EMA_BENCH_PARENT").unwrap_or_default())).unwrap()
+    Domain::new(&format!(
+        "bench-{}",
+        std::env::var("EMA_BENCH_PARENT").unwrap_or_default()
+    ))
+    .unwrap()
 }
 
 /// This program again, in a role.
@@ -59,7 +63,10 @@ fn about(actuator: &str, rows: u64) -> RunDescription {
     RunDescription {
         actuator: actuator.into(),
         parameters: ActuatorParameters::reference().fingerprint(),
-        sensors: sim_worker::datasets::sensors("reference").unwrap().unwrap().fingerprint(),
+        sensors: sim_worker::datasets::sensors("reference")
+            .unwrap()
+            .unwrap()
+            .fingerprint(),
         sequence: sim_worker::datasets::sequence("preflight").unwrap().fingerprint(),
         run: 1,
         rate_hz: RATE_HZ,
@@ -482,12 +489,17 @@ fn main() {
     // SAFETY: no thread has been started yet
     unsafe { std::env::set_var("EMA_BENCH_PARENT", std::process::id().to_string()) };
     extractor();
-    println!("\none way: from before the frame is written to after all of it is read, {FRAMES} frames, 1 ms apart [us]");
+    println!(
+        "\none way: from before the frame is written to after all of it is read, {FRAMES} frames, 1 ms apart [us]"
+    );
     println!("  frame    path                                 p50      p99    p99.9");
     for (name, rows) in [("1 ms", 10), ("10 ms", 100), ("100 ms", 1000)] {
         let paths = [
             ("in place, woken by an event", frames_latency(rows, false, false)),
-            ("control: the same with a copy at each end", frames_latency(rows, true, false)),
+            (
+                "control: the same with a copy at each end",
+                frames_latency(rows, true, false),
+            ),
             ("control: Unix socket", socket_latency(rows)),
             ("in place, polling", frames_latency(rows, false, true)),
         ];
@@ -496,11 +508,16 @@ fn main() {
         }
     }
     make_maps();
-    println!("\nfrom the publication of the last needed sample to the diagnosis, 400 runs, frames of 30 ms every 0.3 ms [us]");
+    println!(
+        "\nfrom the publication of the last needed sample to the diagnosis, 400 runs, frames of 30 ms every 0.3 ms [us]"
+    );
     println!("  path                                         p50      p99    p99.9");
     for (name, busy) in [("woken by events", false), ("diagnoser polling", true)] {
         let (third, inner) = diagnosis_latency(busy);
-        for (what, [a, b, c]) in [("received by a third process", third), ("published by the diagnoser", inner)] {
+        for (what, [a, b, c]) in [
+            ("received by a third process", third),
+            ("published by the diagnoser", inner),
+        ] {
             println!("  {name:17} {what:27} {a:7.1}  {b:7.1}  {c:7.1}");
         }
     }

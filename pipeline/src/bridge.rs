@@ -3,7 +3,9 @@
 //! comes back, so that a lossless publisher waits for them as it does for near ones.
 
 use anyhow::{Context, Result, bail};
-use arrow::array::{Array, ArrayRef, AsArray, Float64Array, ListArray, RecordBatch, StringArray, UInt32Array, UInt64Array};
+use arrow::array::{
+    Array, ArrayRef, AsArray, Float64Array, ListArray, RecordBatch, StringArray, UInt32Array, UInt64Array,
+};
 use arrow::buffer::OffsetBuffer;
 use arrow::datatypes::{DataType, Field, Float64Type, Schema, UInt32Type, UInt64Type};
 use arrow::ipc::reader::StreamReader;
@@ -74,7 +76,8 @@ fn schema() -> Arc<Schema> {
     }
     for c in Channel::ALL {
         let unit = HashMap::from([("unit".to_string(), c.unit().to_string())]);
-        fields.push(Field::new_list(c.name(), Field::new_list_field(DataType::Float64, false), true).with_metadata(unit));
+        fields
+            .push(Field::new_list(c.name(), Field::new_list_field(DataType::Float64, false), true).with_metadata(unit));
     }
     let version = HashMap::from([(VERSION.to_string(), SCHEMA_VERSION.to_string())]);
     Arc::new(Schema::new(fields).with_metadata(version))
@@ -215,7 +218,9 @@ pub fn send(
     let mut traffic = Traffic::default();
     let subscriber = Subscriber::open(domain)?;
     while go_on() {
-        let Some(socket) = connect(to, patience, go_on)? else { break };
+        let Some(socket) = connect(to, patience, go_on)? else {
+            break;
+        };
         traffic.connections += 1;
         say(&format!("connected to {to}"));
         if let Err(e) = forward(&subscriber, socket, go_on, &mut traffic) {
@@ -225,12 +230,7 @@ pub fn send(
     Ok(traffic)
 }
 
-fn forward(
-    subscriber: &Subscriber,
-    socket: TcpStream,
-    go_on: &dyn Fn() -> bool,
-    traffic: &mut Traffic,
-) -> Result<()> {
+fn forward(subscriber: &Subscriber, socket: TcpStream, go_on: &dyn Fn() -> bool, traffic: &mut Traffic) -> Result<()> {
     socket.set_nodelay(true)?;
     socket.set_write_timeout(Some(STALLED))?;
     let answers = read_answers(socket.try_clone()?);
@@ -432,7 +432,11 @@ fn relay(
         drop(publisher.take());
         let rows = rows.max(USUAL_ROWS);
         let channels = channels.max(Channel::COUNT);
-        *publisher = Some((Publisher::open(domain, Delivery::Lossless, rows, channels)?, rows, channels));
+        *publisher = Some((
+            Publisher::open(domain, Delivery::Lossless, rows, channels)?,
+            rows,
+            channels,
+        ));
     }
     let (publisher, _, _) = publisher.as_mut().expect("just opened");
     if kind == END {
@@ -469,7 +473,12 @@ fn relay(
         };
         let values = values.as_primitive::<Float64Type>().values();
         if values.len() != to.len() {
-            bail!("column `{}` has {} values; allowed: {}", c.name(), values.len(), to.len());
+            bail!(
+                "column `{}` has {} values; allowed: {}",
+                c.name(),
+                values.len(),
+                to.len()
+            );
         }
         to.copy_from_slice(values);
     }

@@ -55,11 +55,17 @@ impl Soaked {
         };
         no(self.wrong > 0, format!("{} wrong diagnoses", self.wrong));
         no(!self.hangs.is_empty(), format!("hangs: {:?}", self.hangs));
-        no(!self.leaks.is_empty(), format!("left in shared memory: {:?}", self.leaks));
+        no(
+            !self.leaks.is_empty(),
+            format!("left in shared memory: {:?}", self.leaks),
+        );
         let share = self.exact as f64 / self.untouched.max(1) as f64;
         no(
             self.untouched == 0 || share < 0.99,
-            format!("{} of {} untouched runs exact; {:?}", self.exact, self.untouched, self.failures),
+            format!(
+                "{} of {} untouched runs exact; {:?}",
+                self.exact, self.untouched, self.failures
+            ),
         );
         v
     }
@@ -166,7 +172,16 @@ pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked
         let speed = ["max", "max", "40", "15"][rng.random_range(0..4)];
         let frame = ["1", "5", "10", "50"][rng.random_range(0..4)];
         let args = [
-            "replay", file, "--speed", speed, "--frame-ms", frame, "--run", &number, "--wait", "20",
+            "replay",
+            file,
+            "--speed",
+            speed,
+            "--frame-ms",
+            frame,
+            "--run",
+            &number,
+            "--wait",
+            "20",
         ];
         let mut replay = s.program(&args);
         let start = Instant::now();

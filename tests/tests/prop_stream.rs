@@ -8,7 +8,7 @@ use schemas::stream::Ipc;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
 use schemas::stream::publisher::{Delivery, Publisher};
 use schemas::stream::subscriber::Subscriber;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 const LIMIT: Duration = Duration::from_secs(30);
@@ -55,10 +55,10 @@ fn send_all(publisher: &mut Publisher) -> usize {
 }
 
 /// Reads sample frames until the last one, answering as a subscriber should.
-fn read_all(subscriber: &Subscriber, stop: &AtomicBool) -> Vec<f64> {
+fn read_all(subscriber: &Subscriber) -> Vec<f64> {
     let mut got = Vec::new();
     let start = std::time::Instant::now();
-    while !stop.load(Ordering::Relaxed) && start.elapsed() < LIMIT {
+    while start.elapsed() < LIMIT {
         while let Some(f) = subscriber.receive().unwrap() {
             let h = *f.header();
             match h.kind {
@@ -73,6 +73,20 @@ fn read_all(subscriber: &Subscriber, stop: &AtomicBool) -> Vec<f64> {
         subscriber.wait(Duration::from_millis(20)).unwrap();
     }
     got
+}
+
+/// What a subscriber reads that is there from the start, but does not look for the first 0.3 s of
+/// `sending`.
+fn read_late(domain: &TestDomain, sending: impl FnOnce()) -> Vec<f64> {
+    let subscriber = Subscriber::open(&domain.open()).unwrap();
+    std::thread::scope(|s| {
+        let reader = s.spawn(|| {
+            std::thread::sleep(Duration::from_millis(300));
+            read_all(&subscriber)
+        });
+        sending();
+        reader.join().unwrap()
+    })
 }
 
 /// Silent loss 1: a subscriber that has not yet polled a new publisher gets what its queue holds.
@@ -101,18 +115,11 @@ fn prop_new_publisher_waits_for_subscribers_that_have_not_polled() {
     println!("bare: {got} of {FRAMES} received, send said 0 recipients {unheard} times");
     assert!(got < FRAMES && unheard == FRAMES - got);
     // ours
-    let subscriber = Subscriber::open(&domain.open()).unwrap();
-    let stop = AtomicBool::new(false);
-    std::thread::scope(|s| {
-        let reader = s.spawn(|| {
-            std::thread::sleep(Duration::from_millis(300));
-            read_all(&subscriber, &stop)
-        });
+    let got = read_late(&domain, || {
         let mut publisher = Publisher::open(&domain.open(), Delivery::Lossless, 1, 1).unwrap();
         assert_eq!(send_all(&mut publisher), 1);
-        let got = reader.join().unwrap();
-        assert_eq!(got, (0..FRAMES).map(|k| k as f64).collect::<Vec<_>>());
     });
+    assert_eq!(got, (0..FRAMES).map(|k| k as f64).collect::<Vec<_>>());
 }
 
 /// Silent loss 2: what a publisher has sent before its end is lost for those who had not
@@ -130,13 +137,7 @@ fn prop_publisher_stays_until_the_last_frame_is_answered() {
         "bare: one sample delivered, none received"
     );
     // ours, the real-time stream, which does not wait at its beginning
-    let subscriber = Subscriber::open(&domain.open()).unwrap();
-    let stop = AtomicBool::new(false);
-    std::thread::scope(|s| {
-        let reader = s.spawn(|| {
-            std::thread::sleep(Duration::from_millis(300));
-            read_all(&subscriber, &stop)
-        });
+    let got = read_late(&domain, || {
         let mut publisher = Publisher::open(&domain.open(), Delivery::RealTime, 1, 1).unwrap();
         let mut pass = publisher.begin(&about(), LIMIT, &|| true).unwrap().unwrap();
         for k in 0..3 {
@@ -145,10 +146,8 @@ fn prop_publisher_stays_until_the_last_frame_is_answered() {
             assert!(publisher.publish(&mut pass, frame).unwrap());
         }
         publisher.end(&pass, LIMIT, &|| true).unwrap();
-        drop(publisher);
-        assert_eq!(reader.join().unwrap(), [0.0, 1.0, 2.0]);
-        stop.store(true, Ordering::Relaxed);
     });
+    assert_eq!(got, [0.0, 1.0, 2.0]);
 }
 
 /// Silent loss 3: growing memory takes unread samples with it when the publisher goes.

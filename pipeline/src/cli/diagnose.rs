@@ -1,6 +1,6 @@
 //! `ema diagnose`.
 
-use super::{ActuatorArg, say};
+use super::{ActuatorArg, RecordingArgs, say};
 use crate::case::{self, Settings};
 use crate::report::{self, Report, Section};
 use crate::report_pages;
@@ -24,12 +24,8 @@ pub struct DiagnoseArgs {
     /// Run of a file that holds several
     #[arg(long)]
     run: Option<u64>,
-    /// Sequence by name or TOML file; recognised from the command if left out
-    #[arg(long)]
-    sequence: Option<String>,
-    /// auto, none, reference, or a TOML file
-    #[arg(long, default_value = "auto")]
-    sensors: String,
+    #[command(flatten)]
+    recording: RecordingArgs,
     /// Grid of maps made on first use
     #[arg(long, default_value = "fine")]
     grid: String,
@@ -45,8 +41,8 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         actuator: a.actuator.read()?,
         maps: a.maps.clone(),
         run: a.run,
-        sequence: a.sequence.clone(),
-        sensors: a.sensors.clone(),
+        sequence: a.recording.sequence.clone(),
+        sensors: a.recording.sensors.clone(),
         grid: sim_worker::datasets::grid(&a.grid)?,
     };
     let case = case::run(&a.file, &settings)?;

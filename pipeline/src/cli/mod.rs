@@ -55,9 +55,11 @@ enum Commands {
     #[command(after_help = "Example: ema bench-live --fsj 3 --zeta 0.3 --tests 5")]
     BenchLive(stream::BenchLiveArgs),
     /// Carry the stream between computers, as Arrow IPC over TCP
-    #[command(after_help = "Example: on one computer  ema bridge receive --listen 0.0.0.0:7745\n         \
+    #[command(
+        after_help = "Example: on one computer  ema bridge receive --listen 0.0.0.0:7745\n         \
     on the other     ema bridge send --to HOST:7745\nThere is no encryption and no password: use it on a network that \
-    you trust, or through a tunnel.")]
+    you trust, or through a tunnel."
+    )]
     Bridge(stream::BridgeArgs),
     /// Draw maps, diagnoses and telemetry as SVG
     #[command(after_help = "Example: ema plot maps dataset --out plots")]
@@ -135,6 +137,17 @@ impl ActuatorArg {
             None => ActuatorParameters::reference(),
         }))
     }
+}
+
+/// What a recording does not say of itself.
+#[derive(Args)]
+pub struct RecordingArgs {
+    /// Sequence by name or TOML file; recognised from the command if left out
+    #[arg(long)]
+    sequence: Option<String>,
+    /// Sensor model: auto, none, reference, or a TOML file
+    #[arg(long, default_value = "auto")]
+    sensors: String,
 }
 
 /// Parses the command line, works, and says how it ended.

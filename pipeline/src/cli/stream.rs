@@ -1,12 +1,12 @@
 //! `ema live`, `ema replay`, `ema bench-live`, `ema bridge`.
 
 use super::run::{faults, finite};
-use super::{ActuatorArg, say};
-use crate::{bench_live, bridge};
+use super::{ActuatorArg, RecordingArgs, say};
 use crate::case::Settings;
 use crate::maps::{self, MapRequest};
 use crate::progress::interrupted;
 use crate::replay::{Delivered, Replay};
+use crate::{bench_live, bridge};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::cli::{DomainArg, LiveArgs};
@@ -96,12 +96,8 @@ pub struct ReplayArgs {
     /// Number of the first run in the frames, instead of the recording's
     #[arg(long)]
     run: Option<u64>,
-    /// Sequence by name or TOML file; recognised from the command if left out
-    #[arg(long)]
-    sequence: Option<String>,
-    /// auto, none, reference, or a TOML file
-    #[arg(long, default_value = "auto")]
-    sensors: String,
+    #[command(flatten)]
+    recording: RecordingArgs,
     #[command(flatten)]
     domain: DomainArg,
     #[command(flatten)]
@@ -144,8 +140,8 @@ pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
             actuator: a.actuator.read()?,
             maps: None,
             run: None,
-            sequence: a.sequence.clone(),
-            sensors: a.sensors.clone(),
+            sequence: a.recording.sequence.clone(),
+            sensors: a.recording.sensors.clone(),
             grid: sim_worker::datasets::grid("fine")?,
         },
         id: a.id.clone(),
@@ -343,6 +339,9 @@ pub fn bridge(a: &BridgeArgs) -> Result<ExitCode> {
         Direction::Send { to, .. } => bridge::send(&domain, to, patience, &go_on, &tell)?,
         Direction::Receive { listen, .. } => bridge::receive(&domain, listen, patience, &go_on, &tell)?,
     };
-    eprintln!("{} frames of {} streams over {} connections", t.frames, t.streams, t.connections);
+    eprintln!(
+        "{} frames of {} streams over {} connections",
+        t.frames, t.streams, t.connections
+    );
     Ok(ExitCode::from(EXIT_INTERRUPTED))
 }

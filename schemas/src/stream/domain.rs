@@ -229,11 +229,14 @@ impl Domain {
         let details = Ipc::details(&name, &self.config, MessagingPattern::PublishSubscribe);
         if let Ok(Some(d)) = details {
             let types = d.static_details.publish_subscribe().message_type_details();
-            let (header, payload) = (types.user_header.type_name(), types.payload.type_name());
-            let found = if header.to_string() == "()" { payload } else { header };
-            if found.to_string() != wanted {
+            let header = types.user_header.type_name().to_string();
+            let found = match header.as_str() {
+                "()" => types.payload.type_name().to_string(),
+                _ => header,
+            };
+            if found != wanted {
                 let place = "schema version of those who are connected";
-                return Error::bad(service, place, version(&found.to_string()), version(wanted));
+                return Error::bad(service, place, version(&found), version(wanted));
             }
         }
         failed(service, "cannot be opened", why)

@@ -8,7 +8,9 @@ fn main() -> ExitCode {
     let arguments: Vec<u64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
     let kills = arguments.first().copied().unwrap_or(1000);
     let seed = arguments.get(1).copied().unwrap_or(1);
-    let ema = std::env::current_exe().expect("a path").with_file_name("ema-under-test");
+    let ema = std::env::current_exe()
+        .expect("a path")
+        .with_file_name("ema-under-test");
     let dir = std::env::temp_dir().join("ema-soak");
     std::fs::create_dir_all(&dir).expect("a temporary folder");
     let file = dir.join("run.parquet");
