@@ -3,6 +3,7 @@
 use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
 use ema_tests::reference_run;
 use proptest::prelude::*;
+use schemas::channel::Channel;
 use schemas::feature::RawFeatures;
 use schemas::recording::{Provenance, Recorder, Recording};
 use schemas::telemetry::{Collector, TelemetrySink};
@@ -60,7 +61,7 @@ proptest! {
         x.push(&view.slice(0, at));
         x.push(&view.slice(at + len, view.rows));
         let (f, full) = (bits(&x.features()), whole());
-        for k in 0..3 {
+        for k in 0..4 {
             // present and exact, or absent and named
             prop_assert!(f[k] == full[k] || f[k].is_none());
         }
@@ -70,6 +71,28 @@ proptest! {
         if f[0].is_none() || f[2].is_none() {
             prop_assert!(!x.missing().is_empty());
         }
+    }
+}
+
+/// Where the samples around break-away are lost, the first one off rest that is seen is not P3.
+#[test]
+fn prop_a_gap_before_breakaway_leaves_p3_out() {
+    let full = whole()[3].expect("the rotor leaves rest");
+    let view = RUN.view();
+    let com = RUN.column(Channel::Com).unwrap();
+    let breakaway = com.iter().position(|c| c.to_bits() == full).unwrap();
+    for (from, to, known) in [
+        (breakaway, breakaway + 1, false),
+        (breakaway - 1, breakaway + 3, false),
+        (1, 2, false),
+        (breakaway + 1, breakaway + 9, true),
+    ] {
+        let mut x = FeatureExtractor::new(plan());
+        x.push(&view.slice(0, from));
+        x.push(&view.slice(to, view.rows));
+        let p3 = x.features().p3_rad.map(f64::to_bits);
+        assert_eq!(p3, known.then_some(full), "gap {from}..{to}");
+        assert!(x.missing().iter().any(|m| m.contains("P3")));
     }
 }
 
