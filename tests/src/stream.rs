@@ -28,7 +28,7 @@ impl TestDomain {
         schemas::stream::Domain::new(&self.name).unwrap()
     }
 
-    /// Files of this domain in a folder and its direct subfolders.
+    /// Files of this domain in a folder.
     fn files_in(&self, dir: &Path) -> Vec<PathBuf> {
         let prefix = format!("{}_", self.name);
         let mut found = Vec::new();
@@ -55,6 +55,13 @@ impl Drop for TestDomain {
         for dir in ["/dev/shm", "/tmp/iceoryx2/nodes", "/tmp/iceoryx2/services"] {
             for f in self.files_in(Path::new(dir)) {
                 let _ = std::fs::remove_file(f);
+            }
+        }
+        // folders of nodes that died early hold files of their domain
+        let nodes = std::fs::read_dir("/tmp/iceoryx2/nodes").into_iter().flatten().flatten();
+        for node in nodes.map(|e| e.path()).filter(|p| p.is_dir()) {
+            if !self.files_in(&node).is_empty() {
+                let _ = std::fs::remove_dir_all(node);
             }
         }
     }

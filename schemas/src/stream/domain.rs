@@ -8,7 +8,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::Service;
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
@@ -21,6 +21,9 @@ const LONGEST: usize = 32;
 /// Longest wait for half-made services, and the time between two looks for them.
 const MENDING: Duration = Duration::from_secs(5);
 const MENDING_EVERY: Duration = Duration::from_millis(500);
+
+/// A node's folder that nothing else has told of for so long is nobody's.
+const ORPHANED: Duration = Duration::from_secs(10);
 
 /// Listeners and notifiers of one event service.
 const MAX_EVENT_PORTS: usize = 128;
@@ -79,6 +82,7 @@ impl Domain {
             std::thread::sleep(Duration::from_millis(10));
         }
         self.clean();
+        self.sweep();
         NodeBuilder::new()
             .config(&self.config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -101,6 +105,31 @@ impl Domain {
         });
         for view in dead {
             let _ = view.try_remove_stale_resources();
+        }
+    }
+
+    /// Removes folders of nodes that died so early, or whose cleaner died so late, that nothing but
+    /// the folder tells of them.
+    fn sweep(&self) {
+        let dir = PathBuf::from(self.config.global.node_dir().to_string());
+        let list = |dir: &Path| std::fs::read_dir(dir).into_iter().flatten().flatten();
+        let names: Vec<String> = list(&dir)
+            .map(|e| e.file_name().to_string_lossy().into_owned())
+            .collect();
+        for e in list(&dir).filter(|e| e.path().is_dir()) {
+            let id = e.file_name().to_string_lossy().into_owned();
+            let is_known = names.iter().any(|n| n.contains(&format!("_{id}.")));
+            let age = e
+                .metadata()
+                .and_then(|m| m.modified())
+                .ok()
+                .and_then(|t| t.elapsed().ok());
+            let ours = |e: &std::fs::DirEntry| e.file_name().to_string_lossy().starts_with(&self.prefix());
+            let mut files = list(&e.path()).peekable();
+            let all_ours = files.peek().is_some() && files.all(|f| ours(&f));
+            if !is_known && all_ours && age.is_some_and(|age| age > ORPHANED) {
+                let _ = std::fs::remove_dir_all(e.path());
+            }
         }
     }
 
