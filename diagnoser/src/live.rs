@@ -21,6 +21,8 @@ pub const LOWEST_RATE_HZ: f64 = 1000.0;
 
 /// Finished streams remembered per actuator, so that a late frame does not look like a new run.
 const REMEMBERED: usize = 8;
+/// And of all actuators, whatever names they are given.
+const REMEMBERED_IN_ALL: usize = 4096;
 
 /// Map sets kept in memory.
 const KEPT_MAPS: usize = 256;
@@ -233,19 +235,24 @@ impl Live {
             self.conclude(other);
         }
         // forget the oldest finished streams of this actuator
-        let mut finished: Vec<(u64, Key)> = self
-            .tracks
-            .iter()
-            .filter(|(k, t)| same(k) && t.is_final)
-            .map(|(k, t)| (t.last_ns, *k))
-            .collect();
-        finished.sort_unstable();
-        for (_, k) in finished.iter().rev().skip(REMEMBERED) {
-            self.tracks.remove(k);
-        }
+        self.forget(REMEMBERED, same);
+        self.forget(REMEMBERED_IN_ALL, |_| true);
         let key = (header.actuator, header.stream);
         self.tracks.insert(key, track);
         self.conclude(key);
+    }
+
+    /// Forgets the oldest finished streams among `which`, but for `kept`.
+    fn forget(&mut self, kept: usize, which: impl Fn(&Key) -> bool) {
+        let finished = self.tracks.iter().filter(|(k, t)| which(k) && t.is_final);
+        let mut finished: Vec<(u64, Key)> = finished.map(|(k, t)| (t.last_ns, *k)).collect();
+        if finished.len() > kept {
+            finished.sort_unstable();
+            finished.truncate(finished.len() - kept);
+            finished.iter().for_each(|(_, k)| {
+                self.tracks.remove(k);
+            });
+        }
     }
 
     /// Finds what the stream is to be interpreted with.

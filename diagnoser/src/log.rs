@@ -208,3 +208,90 @@ fn write_all(mut writer: Writer, path: &Path, receiver: &Receiver<Logged>, compl
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::{Diagnosis, Outcome};
+    use crate::live::Report;
+    use schemas::channel::ChannelSet;
+    use schemas::feature::Features;
+    use schemas::stream::frame::RunDescription;
+    use std::sync::Arc;
+
+    fn logged(run: u64) -> Logged {
+        let outcome = Outcome::OutOfRange {
+            reason: "FSJ above 5".into(),
+        };
+        Logged {
+            report: Report {
+                run: RunDescription {
+                    actuator: "rig".into(),
+                    parameters: "fd2267d8e432540d".into(),
+                    sensors: "none".into(),
+                    sequence: "516bc48aa11e0fd0".into(),
+                    run,
+                    rate_hz: 1e4,
+                    channels: ChannelSet::basic(),
+                    total_rows: 30_000,
+                    load_n_m: 0.0,
+                },
+                stream: u64::MAX - run,
+                is_final: true,
+                diagnosis: Diagnosis {
+                    outcome,
+                    features: Features {
+                        p2_a: Some(0.5),
+                        ..Features::default()
+                    },
+                },
+                samples_received: 30_000,
+                samples_lost: 0,
+                telemetry_ns: 1,
+            },
+            time_ns: 2,
+            publish_ns: 3,
+        }
+    }
+
+    fn write(path: &Path, runs: std::ops::Range<u64>) {
+        let log = Log::open(path, Arc::new(|text: &str| panic!("{text}"))).unwrap();
+        runs.for_each(|r| log.append(logged(r)));
+        log.close().unwrap();
+    }
+
+    #[test]
+    fn prop_a_log_goes_on_where_it_ended() {
+        let dir = std::env::temp_dir().join(format!("ema-log-{}", std::process::id()));
+        std::fs::create_dir_all(&dir).unwrap();
+        let table = dir.join("log.parquet");
+        write(&table, 0..2);
+        write(&table, 2..5);
+        let rows = arrow::compute::concat_batches(&to_batch(&[]).schema(), &read(&table).unwrap()).unwrap();
+        let expected: Vec<Logged> = (0..5).map(logged).collect();
+        assert_eq!(rows, to_batch(&expected));
+        let lines = dir.join("log.jsonl");
+        write(&lines, 0..2);
+        // a process died in the middle of a line
+        let mut torn = OpenOptions::new().append(true).open(&lines).unwrap();
+        torn.write_all(b"{\"run\":").unwrap();
+        drop(torn);
+        write(&lines, 2..3);
+        let text = std::fs::read_to_string(&lines).unwrap();
+        let runs: Vec<u64> = text
+            .lines()
+            .map(|l| {
+                serde_json::from_str::<serde_json::Value>(l).unwrap()["run"]
+                    .as_u64()
+                    .unwrap()
+            })
+            .collect();
+        assert_eq!(runs, [0, 1, 2]);
+        // another table is refused, and stays as it is
+        let other = dir.join("other.parquet");
+        std::fs::write(&other, b"PAR1 not a table").unwrap();
+        assert!(Log::open(&other, Arc::new(|_: &str| ())).is_err());
+        assert_eq!(std::fs::read(&other).unwrap(), b"PAR1 not a table");
+        std::fs::remove_dir_all(&dir).unwrap();
+    }
+}

@@ -137,6 +137,11 @@ pub fn write_table(path: &Path, batch: &RecordBatch, pairs: Vec<(String, String)
     crate::error::write_whole(path, &bytes)
 }
 
+/// A failure of the disk, as the Parquet writer reports it.
+fn unwritten(path: &Path, why: impl std::fmt::Display) -> Error {
+    Error::io(path, "cannot be written", std::io::Error::other(why.to_string()))
+}
+
 /// Writes runs into one Parquet file, a row group a run. The file appears under its name only
 /// when [`Recorder::finish`] has written all of it.
 pub struct Recorder {
@@ -170,7 +175,7 @@ impl Recorder {
         let properties = writer_properties(&schema, provenance.pairs());
         let tmp = temporary(path);
         let file = File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;
-        let writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(|e| Error::torn(path, e))?;
+        let writer = ArrowWriter::try_new(file, schema.clone(), Some(properties)).map_err(|e| unwritten(path, e))?;
         Ok(Self {
             path: path.into(),
             tmp,
@@ -185,10 +190,20 @@ impl Recorder {
     /// Ends the file and gives it its name.
     pub fn finish(mut self) -> Result<()> {
         let writer = self.writer.take().expect("finish is called once");
-        let file = writer.into_inner().map_err(|e| Error::torn(&self.path, e))?;
-        file.sync_all()
-            .map_err(|e| Error::io(&self.path, "cannot be written", e))?;
-        std::fs::rename(&self.tmp, &self.path).map_err(|e| Error::io(&self.path, "cannot be renamed", e))
+        let result = writer
+            .into_inner()
+            .map_err(|e| unwritten(&self.path, e))
+            .and_then(|file| {
+                file.sync_all()
+                    .map_err(|e| Error::io(&self.path, "cannot be written", e))
+            })
+            .and_then(|()| {
+                std::fs::rename(&self.tmp, &self.path).map_err(|e| Error::io(&self.path, "cannot be renamed", e))
+            });
+        if result.is_err() {
+            let _ = std::fs::remove_file(&self.tmp);
+        }
+        result
     }
 }
 
@@ -204,7 +219,7 @@ impl TelemetrySink for Recorder {
     fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> Result<()> {
         let writer = self.writer.as_mut().expect("not finished");
         if self.run.is_some_and(|r| r != header.run) {
-            writer.flush().map_err(|e| Error::torn(&self.path, e))?;
+            writer.flush().map_err(|e| unwritten(&self.path, e))?;
         }
         self.run = Some(header.run);
         let n = view.rows;
@@ -229,7 +244,7 @@ impl TelemetrySink for Recorder {
             });
         }
         let batch = RecordBatch::try_new(self.schema.clone(), columns).map_err(|e| Error::torn(&self.path, e))?;
-        writer.write(&batch).map_err(|e| Error::torn(&self.path, e))
+        writer.write(&batch).map_err(|e| unwritten(&self.path, e))
     }
 }
 

@@ -188,7 +188,9 @@ pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked
         let mut touched = false;
         // who is killed during this run, and when
         let plan = rng.random_range(0..4);
-        let moment = Duration::from_micros(rng.random_range(0..[30_000, 400_000][plan % 2]));
+        // while the programs start, or later
+        let longest = [30_000, 400_000][rng.random_range(0..2)];
+        let moment = Duration::from_micros(rng.random_range(0..longest));
         let mut pending = plan > 0;
         loop {
             s.listen(Duration::from_millis(2));

@@ -67,6 +67,9 @@ impl Drop for TestDomain {
     }
 }
 
+/// Arguments of the run that the tests send; the file's name follows.
+pub const EXAMPLE_RUN: [&str; 8] = ["run", "--fsj", "3", "--zeta", "0.3", "--sensors", "reference", "--out"];
+
 /// A running program, killed when it goes out of scope.
 pub struct Program {
     child: Child,

@@ -4,7 +4,7 @@
 mod common;
 
 use common::*;
-use ema_tests::stream::{Program, TestDomain};
+use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain};
 use schemas::stream::diagnosis::DiagnosisSubscriber;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -229,18 +229,7 @@ fn e2e_python_publishes_and_subscribes() {
     let dir = tempfile::tempdir().unwrap();
     let csv = dir.path().join("run.csv");
     let csv = csv.to_str().unwrap();
-    let args = [
-        "run",
-        "--fsj",
-        "3",
-        "--zeta",
-        "0.3",
-        "--sensors",
-        "reference",
-        "--out",
-        csv,
-    ];
-    ok(&domain, &args);
+    ok(&domain, &[&EXAMPLE_RUN[..], &[csv]].concat());
     let mut acquisition = example("publish_telemetry.py", &[csv, "--speed", "max"]);
     assert_eq!(acquisition.code(), Some(0), "{}", acquisition.errors());
     assert_eq!(live.code(), Some(0), "{}", live.errors());

@@ -13,6 +13,9 @@ use schemas::telemetry::TelemetryView;
 /// Faults of a stream that are named one by one; the others are counted.
 const NAMED: usize = 4;
 
+/// Gaps remembered one by one, to tell a late frame from a repeated one.
+const REMEMBERED_GAPS: usize = 1024;
+
 /// A range of samples or frames that did not come.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Gap {
@@ -119,10 +122,12 @@ impl Track {
     /// Samples from the expected one up to the one before `first` did not come.
     pub fn skip_to(&mut self, first: u64) {
         if first > self.next_sample {
-            self.lost.push(Gap {
-                from: self.next_sample,
-                to: first - 1,
-            });
+            if self.lost.len() < REMEMBERED_GAPS {
+                self.lost.push(Gap {
+                    from: self.next_sample,
+                    to: first - 1,
+                });
+            }
             self.lost_samples += first - self.next_sample;
             self.next_sample = first;
         }

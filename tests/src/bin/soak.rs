@@ -2,6 +2,7 @@
 //! times, then says what it has seen; exit code 1 if anything is not as it should be.
 
 use ema_tests::soak::{Soak, soak};
+use ema_tests::stream::EXAMPLE_RUN;
 use std::process::{Command, ExitCode};
 
 fn main() -> ExitCode {
@@ -19,17 +20,7 @@ fn main() -> ExitCode {
         c.expect("the program is built with this one").stdout
     };
     let path = file.to_str().expect("a plain path");
-    run(&[
-        "run",
-        "--fsj",
-        "3",
-        "--zeta",
-        "0.3",
-        "--sensors",
-        "reference",
-        "--out",
-        path,
-    ]);
+    run(&[&EXAMPLE_RUN[..], &[path]].concat());
     let offline = serde_json::from_slice(&run(&["diagnose", path, "--json"])).expect("a diagnosis");
     let setting = Soak {
         ema: &ema,

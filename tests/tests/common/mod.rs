@@ -1,7 +1,7 @@
 //! What the tests of the stream share: the programs, a recording and its offline diagnosis.
 #![allow(dead_code)]
 
-use ema_tests::stream::{Program, TestDomain};
+use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain};
 use schemas::stream::frame::RunDescription;
 use schemas::stream::publisher::{Delivery, FrameMut, Pass, Publisher};
 use schemas::telemetry::Collector;
@@ -39,18 +39,7 @@ pub fn recording() -> &'static (PathBuf, Value) {
         let domain = TestDomain::default();
         let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join("stream.parquet");
         let path = file.to_str().unwrap();
-        let run = [
-            "run",
-            "--fsj",
-            "3",
-            "--zeta",
-            "0.3",
-            "--sensors",
-            "reference",
-            "--out",
-            path,
-        ];
-        ok(&domain, &run);
+        ok(&domain, &[&EXAMPLE_RUN[..], &[path]].concat());
         let offline = serde_json::from_str(&ok(&domain, &["diagnose", path, "--json"])).unwrap();
         (file, offline)
     })
