@@ -294,14 +294,15 @@ impl Live {
             .entry(id)
             .or_insert_with(|| Arc::new(FeaturePlan::new(actuator, sequence, run.rate_hz, equivalent)))
             .clone();
-        track.channels = if equivalent {
+        let needed = if equivalent {
             ChannelSet::of([Channel::Com, Channel::ThetaM, Channel::OmegaM, Channel::IEq])
         } else {
             plan.channels()
         };
-        if let Some(c) = track.channels.iter().find(|c| !run.channels.contains(*c)) {
+        if let Some(c) = needed.iter().find(|c| !run.channels.contains(*c)) {
             return Err(format!("channel `{}` is missing", c.name()));
         }
+        track.channels = needed;
         if track.run.total_rows == 0 {
             track.run.total_rows = plan.rows;
         }
@@ -419,7 +420,7 @@ impl Live {
                 lacking.extend(x.missing());
                 Diagnosis {
                     outcome: nothing(lacking.join("; ")),
-                    features: Features::default(),
+                    features: Features::over(&x.features(), &RawFeatures::default()),
                 }
             }
             (None, _) => Diagnosis {

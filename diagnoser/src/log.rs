@@ -113,7 +113,12 @@ fn mend(file: &mut File) -> std::io::Result<()> {
     Read::take(&mut *file, len - from).read_to_end(&mut bytes)?;
     if bytes.last().is_some_and(|b| *b != b'\n') {
         let end = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |i| i + 1);
-        file.set_len(from + end as u64)?;
+        if serde_json::from_slice::<serde_json::Value>(&bytes[end..]).is_ok() {
+            // whole, but for its end
+            file.write_all(b"\n")?;
+        } else {
+            file.set_len(from + end as u64)?;
+        }
     }
     Ok(())
 }

@@ -107,7 +107,11 @@ impl MapLibrary {
     pub fn open(places: &[PathBuf]) -> Result<Self> {
         let mut files = Vec::new();
         for place in places {
-            let found = Self::files_in(place);
+            let mut found = Self::files_in(place);
+            if found.len() > 1 {
+                // among many, those that cannot be used are passed over
+                found.retain(|f| FailureMapSet::load(f).is_ok());
+            }
             if found.is_empty() {
                 let allowed = "maps.parquet, a folder that holds it, or a folder of such folders";
                 return Err(Error::bad(place.display().to_string(), "maps", "none", allowed));

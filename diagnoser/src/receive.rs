@@ -9,7 +9,7 @@ use crate::map_library::MapKey;
 use crate::record::{Recording, record};
 use crate::report::{Logged, to_message};
 use crate::view::View;
-use schemas::error::Result;
+use schemas::error::{Error, Result};
 use schemas::stream::diagnosis::DiagnosisPublisher;
 use schemas::stream::subscriber::Subscriber;
 use schemas::stream::{Domain, now_ns};
@@ -100,6 +100,8 @@ struct Receiving {
     diagnoses: DiagnosisPublisher,
     log: Option<Log>,
     last_stray: String,
+    /// why nothing can be said on standard output any more
+    unsaid: Option<std::io::Error>,
 }
 
 impl Receiving {
@@ -122,13 +124,17 @@ impl Receiving {
                 time_ns: time.as_nanos() as i64,
                 publish_ns: message.publish_ns,
             };
-            match self.show {
+            let said = match self.show {
                 // of what is known so far only an area says anything to a person
                 Show::Lines if logged.report.is_final || logged.report.diagnosis.outcome.area().is_some() => {
-                    say(&logged.to_line());
+                    say(&logged.to_line())
                 }
                 Show::Json => say(&logged.to_json().to_string()),
-                _ => {}
+                _ => Ok(()),
+            };
+            if let Err(e) = said {
+                self.show = Show::Nothing;
+                self.unsaid = Some(e);
             }
             if let (Some(log), true) = (&self.log, logged.report.is_final) {
                 log.append(logged);
@@ -145,15 +151,15 @@ impl Receiving {
     }
 }
 
-/// Prints, and does not mind when nobody reads on.
-fn say(text: &str) {
+fn say(text: &str) -> std::io::Result<()> {
     use std::io::Write;
-    let _ = writeln!(std::io::stdout(), "{text}");
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{text}")?;
+    out.flush()
 }
 
 /// Diagnoses what comes until `stop`, or until enough has come.
 pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Result<Counts> {
-    let subscriber = Subscriber::open(&options.domain)?;
     let view = (options.show == Show::Screen)
         .then(|| View::open(stop.clone()))
         .transpose()?;
@@ -161,6 +167,28 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
         Some(view) => view.complain(),
         None => Arc::new(|text: &str| eprintln!("{text}")),
     };
+    let over = Arc::new(AtomicBool::new(false));
+    let (go, when_to_go) = channel();
+    let recorder = options.record.as_ref().map(|dir| -> Result<_> {
+        let names = options.known.sequences.iter();
+        let names = names.map(|s| (s.fingerprint(), s.name.clone())).collect();
+        let recording = Recording::new(dir, names, options.timeout)?;
+        let (domain, over, complain) = (options.domain.clone(), over.clone(), complain.clone());
+        let (ready, is_ready) = channel();
+        let thread = std::thread::spawn(move || {
+            let result = record(&domain, recording, &over, &ready, &when_to_go);
+            if let Err(e) = &result {
+                complain(&format!("recording has ended: {e}"));
+            }
+            result
+        });
+        // an error instead of a word ends the wait too
+        let _ = is_ready.recv();
+        Ok(thread)
+    });
+    let recorder = recorder.transpose()?;
+    let subscriber = Subscriber::open(&options.domain)?;
+    let _ = go.send(());
     let mut r = Receiving {
         show: options.show,
         complain: complain.clone(),
@@ -168,24 +196,9 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
         diagnoses: DiagnosisPublisher::open(&options.domain, subscriber.node())?,
         log: options.log.as_deref().map(|p| Log::open(p, complain)).transpose()?,
         last_stray: String::new(),
+        unsaid: None,
         live: Live::new(options.known.clone()),
     };
-    let over = Arc::new(AtomicBool::new(false));
-    let recorder = options.record.as_ref().map(|dir| -> Result<_> {
-        let names = options.known.sequences.iter();
-        let names = names.map(|s| (s.fingerprint(), s.name.clone())).collect();
-        let recording = Recording::new(dir, names, options.timeout)?;
-        let (domain, over, stop) = (options.domain.clone(), over.clone(), stop.clone());
-        Ok(std::thread::spawn(move || {
-            let result = record(&domain, recording, &over);
-            if result.is_err() {
-                // a diagnoser that was to record and cannot must not look as if it did
-                stop.store(true, Ordering::Relaxed);
-            }
-            result
-        }))
-    });
-    let recorder = recorder.transpose()?;
     if options.show == Show::Lines {
         eprintln!("waiting for telemetry (domain `{}`)", options.domain.prefix());
     }
@@ -204,7 +217,13 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
     let mut complaint = String::new();
     let mut result = Ok(());
     let alive = |p: u64| subscriber.publishers().contains(&p);
-    while !stop.load(Ordering::Relaxed) && !enough(&r) && result.is_ok() {
+    // who reads only the first lines (a closed pipe) wants no more
+    let closed = |r: &Receiving| {
+        r.unsaid
+            .as_ref()
+            .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+    };
+    while !stop.load(Ordering::Relaxed) && !enough(&r) && !closed(&r) && result.is_ok() {
         result = (|| {
             loop {
                 let frame = match subscriber.receive() {
@@ -276,7 +295,14 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
     result?;
     recorded?;
     logged?;
-    Ok(r.counts)
+    match r.unsaid {
+        Some(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io(
+            std::path::Path::new("standard output"),
+            "cannot be written",
+            e,
+        )),
+        _ => Ok(r.counts),
+    }
 }
 
 /// An error of a map source in the words of the diagnosis.

@@ -10,6 +10,7 @@ use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender};
 use std::time::{Duration, Instant};
 
 /// A stream that is being recorded.
@@ -132,7 +133,8 @@ impl Recording {
             self.finish(h.stream)?;
             return Ok(Some(whole));
         }
-        if h.frame < tape.next_frame || view.first < tape.next_sample {
+        let odd = h.channels != tape.header.channels.0 || h.rate_hz != tape.header.rate_hz;
+        if odd || h.frame < tape.next_frame || view.first < tape.next_sample {
             return Ok(None);
         }
         tape.whole_frames += u64::from(h.frame == tape.next_frame && tape.whole_frames + 1 == h.frame);
@@ -194,8 +196,19 @@ impl Tape {
 }
 
 /// Records until `stop`; returns how many files were written.
-pub fn record(domain: &Domain, mut recording: Recording, stop: &AtomicBool) -> Result<u64> {
+///
+/// * `ready` is told when frames wait for the recorder; they are taken, and answered, when `go` is
+///   told, so that a stream begins for recorder and diagnoser alike
+pub fn record(
+    domain: &Domain,
+    mut recording: Recording,
+    stop: &AtomicBool,
+    ready: &Sender<()>,
+    go: &Receiver<()>,
+) -> Result<u64> {
     let subscriber = Subscriber::open(domain)?;
+    let _ = ready.send(());
+    let _ = go.recv();
     let mut looked = Instant::now();
     loop {
         let stopping = stop.load(Ordering::Relaxed);

@@ -17,8 +17,9 @@ use std::time::Duration;
 /// Words of trouble that stay on the screen.
 const NOTES: usize = 3;
 
-/// Narrower terminals do without the features.
+/// Narrower terminals do without the features, still narrower ones without run, phase and reason.
 const WIDE: u16 = 140;
+const NARROW: u16 = 110;
 
 #[derive(Clone, Default)]
 struct Picture {
@@ -188,6 +189,17 @@ fn draw(frame: &mut ratatui::Frame<'_>, p: &Picture) {
         let features = [("P1 rad/s", 8), ("P2 A", 7), ("P3 -", 6), ("ripple", 8)];
         columns.splice(5..5, features.map(|(name, width)| (name, Constraint::Length(width))));
     }
+    let narrow = frame.area().width < NARROW;
+    if narrow {
+        columns = vec![
+            ("actuator", Constraint::Min(8)),
+            ("test", Constraint::Length(6)),
+            ("lost", Constraint::Length(5)),
+            ("FSJ", Constraint::Length(14)),
+            ("zeta", Constraint::Length(16)),
+            ("outcome", Constraint::Length(12)),
+        ];
+    }
     let rows = p.statuses.iter().skip(p.above).map(|s| {
         let area = s.outcome.as_ref().and_then(|o| o.area());
         let outcome = s.outcome.as_ref().map_or("-".into(), |o| name(o, s.is_final));
@@ -196,13 +208,17 @@ fn draw(frame: &mut ratatui::Frame<'_>, p: &Picture) {
             Cell::from(s.actuator.clone()).bold(),
             Cell::from(s.run.to_string()),
             Cell::from(s.phase.clone()),
-            Cell::from(bar(s.sample, s.samples, 12)),
+            Cell::from(bar(s.sample, s.samples, if narrow { 6 } else { 12 })),
             Cell::from(s.lost.to_string()).fg(if s.lost > 0 { Color::Yellow } else { Color::Gray }),
             Cell::from(area.map_or("-".into(), |a| interval(a.fsj.lo, a.fsj.hi, 3))),
             Cell::from(area.map_or("-".into(), |a| interval(a.zeta.lo, a.zeta.hi, 4))),
             Cell::from(outcome).fg(colour(s)).bold(),
             Cell::from(if s.is_final { reason.to_string() } else { String::new() }),
         ];
+        if narrow {
+            cells.remove(8);
+            cells.drain(1..3);
+        }
         if wide {
             let f = &s.features;
             // before there are maps only what needs no nominal run is known

@@ -20,6 +20,7 @@ use schemas::stream::subscriber::{Frame, Subscriber};
 use std::collections::HashMap;
 use std::io::{BufReader, BufWriter, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
@@ -317,6 +318,8 @@ pub fn receive(
     let listener = TcpListener::bind(address(listen)?).with_context(|| format!("{listen}: cannot be listened on"))?;
     listener.set_nonblocking(true)?;
     say(&format!("listening on {}", listener.local_addr()?));
+    // a broken stream is told in one line below, not with a trace
+    std::panic::set_hook(Box::new(|_| ()));
     let total = std::sync::Mutex::new(Traffic::default());
     std::thread::scope(|scope| -> Result<()> {
         while go_on() {
@@ -335,7 +338,10 @@ pub fn receive(
                     connections: 1,
                     ..Traffic::default()
                 };
-                match publish(domain, socket, patience, go_on, &mut traffic) {
+                // the Arrow reader panics where some bytes are not what they should be
+                let work = || publish(domain, socket, patience, go_on, &mut traffic);
+                let result = catch_unwind(AssertUnwindSafe(work));
+                match result.unwrap_or_else(|_| bail!("not a whole Arrow IPC stream")) {
                     Ok(()) => say(&format!("{from} has finished: {} frames", traffic.frames)),
                     Err(e) => say(&format!("{from}: {e:#}; {} frames received", traffic.frames)),
                 }

@@ -11,7 +11,7 @@ use diagnoser::map_library;
 use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
-use schemas::feature::{Feature, RawFeatures};
+use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::sequence::TestSequence;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;
@@ -183,6 +183,8 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
             reason += &format!("; {m}");
         }
         diagnosis.outcome = Outcome::Incomplete { reason, area: None };
+        // nothing nominal is known at an unknown angle
+        diagnosis.features = Features::over(&raw, &RawFeatures::default());
     }
     Ok(Case {
         measured,

@@ -26,14 +26,10 @@ pub fn interrupt_flag() -> Arc<AtomicBool> {
     INTERRUPTED.clone()
 }
 
-/// From now on Ctrl-C (and SIGTERM) asks long work to stop at the next chance; a second one ends
-/// the process at once.
+/// From now on Ctrl-C (and SIGTERM) asks long work to stop at the next chance; another one a second
+/// later ends the process at once.
 pub fn catch_interrupts() {
-    let _ = ctrlc::set_handler(|| {
-        if INTERRUPTED.swap(true, Ordering::SeqCst) {
-            std::process::exit(130);
-        }
-    });
+    diagnoser::cli::catch_interrupts(INTERRUPTED.clone());
 }
 
 /// Whether Ctrl-C was pressed.

@@ -83,8 +83,8 @@ pub enum FrameFault {
     Rows { rows: u32, stride: u32 },
     #[error("truncated: {found} values; needed: {needed}")]
     Truncated { found: usize, needed: usize },
-    #[error("first sample 0; allowed: from 1 on")]
-    First,
+    #[error("first sample {0}; allowed: 1 to 2^53")]
+    First(u64),
     #[error("rate {0} Hz; allowed: a finite rate above 0")]
     Rate(f64),
 }
@@ -189,8 +189,8 @@ impl FrameHeader {
                 if rows == 0 || rows > stride || !(stride as usize).is_multiple_of(STRIDE_ROWS) {
                     return Err(FrameFault::Rows { rows, stride });
                 }
-                if self.first == 0 {
-                    return Err(FrameFault::First);
+                if self.first == 0 || self.first > 1 << 53 {
+                    return Err(FrameFault::First(self.first));
                 }
                 let needed = self.values();
                 if payload < needed {

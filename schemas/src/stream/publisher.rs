@@ -383,7 +383,7 @@ impl Publisher {
         pass.header.frame += 1;
         let _ = self.notifier.notify();
         let connected = self.subscribers();
-        if n == 0 {
+        if connected == 0 {
             pass.unheard_frames += 1;
         }
         if n >= connected.max(1) {
