@@ -34,7 +34,7 @@ struct Picture {
 pub struct View {
     picture: Arc<Mutex<Picture>>,
     over: Arc<AtomicBool>,
-    thread: JoinHandle<()>,
+    thread: Option<JoinHandle<()>>,
 }
 
 impl View {
@@ -72,6 +72,7 @@ impl View {
                 ratatui::restore();
             })
         };
+        let thread = Some(thread);
         Ok(Self { picture, over, thread })
     }
 
@@ -96,15 +97,30 @@ impl View {
     }
 
     /// Gives the terminal back and leaves the last table and notes on it as plain lines.
-    pub fn close(self) {
-        self.over.store(true, Ordering::Relaxed);
-        let _ = self.thread.join();
+    pub fn close(mut self) {
+        self.restore();
         if let Ok(p) = self.picture.lock() {
             for s in &p.statuses {
                 println!("{} run {}: {}", s.actuator, s.run, verdict(s));
             }
             p.notes.iter().for_each(|n| eprintln!("{n}"));
         }
+    }
+}
+
+impl View {
+    fn restore(&mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for View {
+    /// An error on the way gives the terminal back too, before it is told.
+    fn drop(&mut self) {
+        self.restore();
     }
 }
 
