@@ -3,6 +3,7 @@
 pub mod command;
 pub mod control;
 pub mod datasets;
+pub mod effect;
 pub mod lanes;
 pub mod monitor;
 pub mod parameters;

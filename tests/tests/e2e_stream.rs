@@ -9,6 +9,8 @@ use schemas::stream::diagnosis::DiagnosisSubscriber;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 #[test]
@@ -27,7 +29,24 @@ fn e2e_live_replay_and_offline_give_the_same_bits() {
         log.to_str().unwrap(),
     ];
     let mut live = live(&domain, &args);
-    let mut third = DiagnosisSubscriber::open(&domain.open(), 0).unwrap();
+    // a third process listens all the while: a subscriber meets a publisher only while both live
+    let over = Arc::new(AtomicBool::new(false));
+    let third = {
+        let (over, shared) = (over.clone(), domain.open());
+        std::thread::spawn(move || {
+            let mut third = DiagnosisSubscriber::open(&shared, 0).unwrap();
+            let mut finals = Vec::new();
+            loop {
+                let last = over.load(Ordering::Relaxed);
+                while let Some(m) = third.next(Duration::from_millis(20)).unwrap() {
+                    finals.extend((m.is_final == 1).then_some(m));
+                }
+                if last {
+                    return finals;
+                }
+            }
+        })
+    };
     // replayed
     let said = ok(
         &domain,
@@ -42,17 +61,15 @@ fn e2e_live_replay_and_offline_give_the_same_bits() {
     same(offline, &finals[0]);
     same(offline, &finals[1]);
     // the third process has received the same
-    let mut received = 0;
-    while let Some(m) = third.next(Duration::from_millis(100)).unwrap() {
-        if m.is_final == 1 {
-            assert_eq!(m.outcome, 1);
-            assert_eq!(m.fsj_lo, offline["fsj"]["lo"].as_f64().unwrap());
-            assert_eq!(m.zeta_hi, offline["zeta"]["hi"].as_f64().unwrap());
-            assert_eq!(m.p2_a, offline["features"]["p2_a"].as_f64().unwrap());
-            received += 1;
-        }
+    over.store(true, Ordering::Relaxed);
+    let received = third.join().unwrap();
+    assert_eq!(received.len(), 2);
+    for m in received {
+        assert_eq!(m.outcome, 1);
+        assert_eq!(m.fsj_lo, offline["fsj"]["lo"].as_f64().unwrap());
+        assert_eq!(m.zeta_hi, offline["zeta"]["hi"].as_f64().unwrap());
+        assert_eq!(m.p2_a, offline["features"]["p2_a"].as_f64().unwrap());
     }
-    assert_eq!(received, 2);
     // and the recordings made meanwhile are the recording
     let files: Vec<PathBuf> = std::fs::read_dir(&rec).unwrap().flatten().map(|e| e.path()).collect();
     assert_eq!(files.len(), 2, "{files:?}");

@@ -1,0 +1,176 @@
+//! The equations of the effects that depend on the signals of one moment. Torques are signed as
+//! `kt i = J dw/dt + C w + friction + load + sum of effects`, voltages as
+//! `v = R i + L di/dt + ke w + sum of effects`.
+
+use super::{Effect, EffectKind};
+use std::f64::consts::{FRAC_PI_6, PI, TAU};
+
+/// Temperature at which friction and resistance are the nominal ones [degC] (assumed).
+pub const REFERENCE_TEMPERATURE_DEGC: f64 = 20.0;
+/// Temperature coefficient of copper's resistance at 20 degC [1/K] (IEC 60028).
+pub const COPPER_PER_K: f64 = 0.00393;
+/// Current over which the dead-time voltage changes sign [A] (assumed).
+const DEAD_TIME_A: f64 = 0.05;
+
+/// Signals of one moment; SI, motor side.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Signals {
+    /// rotor angle [rad]
+    pub theta: f64,
+    /// rotor angle at rest [rad]
+    pub rest: f64,
+    /// rotor speed [rad/s]
+    pub omega: f64,
+    /// sign of the motion, or of the impending motion of a standing rotor
+    pub sign: f64,
+    /// signed motor current [A]
+    pub current: f64,
+    /// its derivative [A/s]
+    pub current_rate: f64,
+    /// load torque [N m]
+    pub load: f64,
+    /// [degC]
+    pub temperature: f64,
+    /// commanded voltage over the supply's
+    pub duty: f64,
+}
+
+/// Constants of the actuator that effects refer to; two phases in series, motor side.
+#[derive(Clone, Copy, Debug)]
+pub struct Constants {
+    /// kt = 2 ke [N m/A]
+    pub torque_constant: f64,
+    /// dynamic dry friction FD [N m]
+    pub coulomb: f64,
+    /// C [N m s/rad]
+    pub viscous: f64,
+    /// 2 R [ohm]
+    pub resistance: f64,
+    /// 2 L [H]
+    pub inductance: f64,
+    pub pole_pairs: f64,
+}
+
+/// `trap` of the paper: 0 to 1 over 0..30 electrical degrees, 1 to 150, to -1 at 210, -1 to 330,
+/// back to 0 at 360.
+pub fn shape(electrical: f64) -> f64 {
+    let x = electrical.rem_euclid(TAU) / FRAC_PI_6;
+    let triangle = if x < 3.0 {
+        x
+    } else if x < 9.0 {
+        6.0 - x
+    } else {
+        x - 12.0
+    };
+    triangle.clamp(-1.0, 1.0)
+}
+
+/// `rect` of the paper for the three phases: +1 on [30, 150), -1 on [210, 330) electrical degrees
+/// of `P theta - 2 pi q/3`, else 0.
+pub fn conducting(theta: f64, pole_pairs: f64) -> [f64; 3] {
+    std::array::from_fn(|q| {
+        let x = (pole_pairs * theta - TAU / 3.0 * q as f64).rem_euclid(TAU) / FRAC_PI_6;
+        if (1.0..5.0).contains(&x) {
+            1.0
+        } else if (7.0..11.0).contains(&x) {
+            -1.0
+        } else {
+            0.0
+        }
+    })
+}
+
+impl Effect {
+    /// Friction level [N m] that it adds to the dry friction; times `sgn w` it is a torque.
+    pub fn friction(&self, s: &Signals, c: &Constants) -> f64 {
+        let [a, b, d] = self.values;
+        match self.kind {
+            EffectKind::Stribeck => a * (-(s.omega.abs() / b).powf(d)).exp(),
+            EffectKind::LubricatedRise => a * -(-s.omega.abs() / b).exp_m1(),
+            EffectKind::LoadDependentFriction => a * s.load.abs(),
+            EffectKind::TemperatureDependentFriction => {
+                a * (s.temperature - REFERENCE_TEMPERATURE_DEGC) * (c.coulomb + c.viscous * s.omega.abs())
+            }
+            EffectKind::PeriodicFriction => a * (d * s.theta + b).cos(),
+            EffectKind::TightSpot => a * (-((s.theta - b) / d).powi(2)).exp(),
+            _ => 0.0,
+        }
+    }
+
+    /// Share of the torque constant (and of the back-EMF's) that it takes away (negative) or adds.
+    pub fn constant_share(&self, s: &Signals, c: &Constants) -> f64 {
+        let [a, b, d] = self.values;
+        match self.kind {
+            EffectKind::TorqueRipple => a * (d * s.theta + b).cos(),
+            EffectKind::Eccentricity => {
+                let on = conducting(s.theta, c.pole_pairs);
+                let mean = |q: usize| 0.5 * on[q].abs() * (s.theta + b + TAU / 3.0 * q as f64).cos();
+                a * (mean(0) + mean(1) + mean(2))
+            }
+            EffectKind::TurnShort => -0.5 * a * conducting(s.theta, c.pole_pairs)[(b as usize).min(2)].abs(),
+            EffectKind::CommutationOffset => {
+                let on = conducting(s.theta, c.pole_pairs);
+                let at = |q: usize| on[q] * shape(c.pole_pairs * s.theta + a - TAU / 3.0 * q as f64);
+                0.5 * (at(0) + at(1) + at(2)) - 1.0
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Torque that the motor must give in addition [N m]; effects with a state of their own
+    /// (presliding, compliance, backlash) are not here.
+    pub fn torque(&self, s: &Signals, c: &Constants) -> f64 {
+        let [a, b, d] = self.values;
+        match self.kind {
+            EffectKind::QuadraticDrag => a * s.omega * s.omega.abs(),
+            EffectKind::ViscousAsymmetry => a * s.omega.abs(),
+            EffectKind::BiasTorque => a,
+            EffectKind::Cogging => a * (d * s.theta + b).cos(),
+            EffectKind::TorqueSaturation => a * c.torque_constant * s.current * s.current.abs(),
+            EffectKind::SpringLoad => a * (s.theta - s.rest),
+            EffectKind::TorqueRipple
+            | EffectKind::Eccentricity
+            | EffectKind::TurnShort
+            | EffectKind::CommutationOffset => -c.torque_constant * s.current * self.constant_share(s, c),
+            EffectKind::CurrentOffset => a * c.torque_constant,
+            EffectKind::CurrentGain => c.torque_constant * s.current * a / (1.0 + a),
+            _ => self.friction(s, c) * s.sign,
+        }
+    }
+
+    /// Voltage that the source must give in addition [V].
+    pub fn voltage(&self, s: &Signals, c: &Constants) -> f64 {
+        let a = self.values[0];
+        match self.kind {
+            EffectKind::WindingHeating => c.resistance * COPPER_PER_K * a * s.current,
+            EffectKind::SupplySag => a * s.duty * s.duty * s.current,
+            EffectKind::DeadTime => a * (s.current / DEAD_TIME_A).tanh(),
+            EffectKind::CurrentOffset => -a * c.resistance,
+            EffectKind::CurrentGain => -c.resistance * s.current * a / (1.0 + a),
+            EffectKind::TurnShort => {
+                let share = self.constant_share(s, c);
+                share * (c.resistance * s.current + c.inductance * s.current_rate + c.torque_constant * s.omega)
+            }
+            EffectKind::TorqueRipple | EffectKind::Eccentricity | EffectKind::CommutationOffset => {
+                c.torque_constant * s.omega * self.constant_share(s, c)
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Measured angle less the true one [rad].
+    pub fn angle_error(&self, theta: f64) -> f64 {
+        match self.kind {
+            EffectKind::EncoderEccentricity => self.values[0] * (theta + self.values[1]).sin(),
+            _ => 0.0,
+        }
+    }
+
+    /// Phase within half a turn of zero.
+    pub fn wrapped(mut self) -> Self {
+        if self.kind.is_periodic() {
+            self.values[1] = (self.values[1] + PI).rem_euclid(TAU) - PI;
+        }
+        self
+    }
+}
