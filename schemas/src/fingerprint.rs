@@ -9,3 +9,8 @@ pub fn fingerprint(text: &str) -> String {
 pub fn exact(x: f64) -> String {
     format!("{:016x}", x.to_bits())
 }
+
+/// As [`fingerprint`], of a file's bytes.
+pub fn fingerprint_bytes(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex()[..16].to_string()
+}

@@ -269,6 +269,13 @@ fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
         .map_err(|e| Error::torn(path, format!("not a whole Parquet file of {size} bytes ({e})")))
 }
 
+/// All rows of any Parquet file.
+pub fn read_batches(path: &Path) -> Result<Vec<RecordBatch>> {
+    let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
+    let reader = open(path)?.build().map_err(|e| torn(&e))?;
+    reader.map(|b| b.map_err(|e| torn(&e))).collect()
+}
+
 /// Key-value metadata of a Parquet file.
 pub fn metadata(path: &Path) -> Result<BTreeMap<String, String>> {
     Ok(pairs(&open(path)?))

@@ -66,6 +66,11 @@ impl Section {
         self.table.remove(key)
     }
 
+    /// A value as it stands in the file.
+    pub fn raw(&mut self, key: &str) -> Option<Value> {
+        self.take(key)
+    }
+
     pub fn has(&self, key: &str) -> bool {
         self.table.contains_key(key)
     }

@@ -59,6 +59,8 @@ pub struct ActuatorParameters {
     pub step_s: f64,
     /// keys whose value is assumed rather than sourced
     pub assumed: Vec<String>,
+    /// keys whose value was identified from measurements
+    pub identified: Vec<String>,
 }
 
 impl ActuatorParameters {
@@ -80,11 +82,14 @@ impl ActuatorParameters {
         let up = |x: f64| x > 0.0;
         let not_below = |x: f64| x >= 0.0;
         let mut assumed = Vec::new();
+        let mut identified = Vec::new();
         let mut get =
             |t: &mut Section, path: &str, key: &str, ok: &dyn Fn(f64) -> bool, allowed: &str| -> Result<f64> {
                 let (x, source) = t.sourced(key, ok, allowed)?;
                 if source.as_deref() == Some("assumed") {
                     assumed.push(format!("{path}.{key}"));
+                } else if source.is_some_and(|s| s.starts_with("identified")) {
+                    identified.push(format!("{path}.{key}"));
                 }
                 Ok(x)
             };
@@ -163,6 +168,7 @@ impl ActuatorParameters {
             hysteresis_half_band_a,
             step_s,
             assumed,
+            identified,
         })
     }
 

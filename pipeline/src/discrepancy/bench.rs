@@ -1,0 +1,555 @@
+//! `BENCH.toml`: what was measured, on which rig, and how far each is trusted.
+
+use super::units::Quantity;
+use schemas::error::{Error, Result};
+use schemas::toml_section::{self, Section};
+use sim_worker::parameters::ActuatorParameters;
+use std::path::{Path, PathBuf};
+
+/// A channel that a bench may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum BenchChannel {
+    Time,
+    Command,
+    Position,
+    Velocity,
+    UserPosition,
+    Current,
+    CurrentAbs,
+    Voltage,
+    Torque,
+    Force,
+    Load,
+    Temperature,
+    VDc,
+}
+
+impl BenchChannel {
+    pub const ALL: [Self; 13] = [
+        Self::Time,
+        Self::Command,
+        Self::Position,
+        Self::Velocity,
+        Self::UserPosition,
+        Self::Current,
+        Self::CurrentAbs,
+        Self::Voltage,
+        Self::Torque,
+        Self::Force,
+        Self::Load,
+        Self::Temperature,
+        Self::VDc,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Time => "time",
+            Self::Command => "command",
+            Self::Position => "position",
+            Self::Velocity => "velocity",
+            Self::UserPosition => "user_position",
+            Self::Current => "current",
+            Self::CurrentAbs => "current_abs",
+            Self::Voltage => "voltage",
+            Self::Torque => "torque",
+            Self::Force => "force",
+            Self::Load => "load",
+            Self::Temperature => "temperature",
+            Self::VDc => "v_dc",
+        }
+    }
+
+    pub fn quantity(self) -> Quantity {
+        match self {
+            Self::Time => Quantity::Time,
+            Self::Command | Self::Position | Self::UserPosition => Quantity::Angle,
+            Self::Velocity => Quantity::Speed,
+            Self::Current | Self::CurrentAbs => Quantity::Current,
+            Self::Voltage | Self::VDc => Quantity::Voltage,
+            Self::Torque | Self::Force | Self::Load => Quantity::Torque,
+            Self::Temperature => Quantity::Temperature,
+        }
+    }
+}
+
+/// Where the noise of a channel is known from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Noise {
+    /// rms of one sample, SI at the motor
+    Known(f64),
+    /// from runs with the role `repeat`
+    Repeats,
+    /// estimated from the highest frequencies of the data
+    Estimated,
+}
+
+/// How a channel stands in the files.
+#[derive(Clone, Debug)]
+pub struct ChannelSpec {
+    pub channel: BenchChannel,
+    pub column: String,
+    /// to SI at the motor
+    pub factor: f64,
+    /// mean over the sample that ends at the time stamp, rather than the value at it
+    pub mean: bool,
+    /// further delay [s]
+    pub delay_s: f64,
+    /// SI at the motor, 0 where it is not known
+    pub resolution: f64,
+    pub noise: Noise,
+}
+
+/// A constant and how far it is trusted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Known {
+    /// SI at the motor
+    pub value: f64,
+    /// relative, one sigma; 0 = fixed, `None` = free
+    pub trust: Option<f64>,
+}
+
+/// The controller's law: `w_ref = position_gain (command - position)`, limited;
+/// `u = speed_gain (w_ref - w) + integral_gain int (w_ref - w) dt`, limited.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ControllerLaw {
+    /// [1/s]
+    pub position_gain: f64,
+    /// [drive unit per rad/s]
+    pub speed_gain: f64,
+    /// [drive unit per rad]
+    pub integral_gain: f64,
+    /// [rad/s]
+    pub speed_limit: f64,
+    /// [drive unit]
+    pub drive_limit: f64,
+    /// the speed is the difference of the mean of the last two positions
+    pub differenced: bool,
+    /// compares with the user's position rather than the motor's
+    pub on_user: bool,
+    /// known lag from the signals to the drive: half a period of the controller and the time
+    /// constant of the current loop [s]
+    pub lag_s: f64,
+}
+
+/// The machine on the bench; SI, motor side.
+#[derive(Clone, Debug)]
+pub struct Rig {
+    pub linear: bool,
+    /// metres in a radian of the motor
+    pub lead: Option<f64>,
+    /// the channel that is fed in
+    pub drive: BenchChannel,
+    /// torque of one unit of the drive channel
+    pub drive_constant: Known,
+    pub inertia: Known,
+    pub viscous: Known,
+    pub coulomb: Known,
+    /// torque that is there at rest, positive against positive motion
+    pub offset: f64,
+    pub resistance: Known,
+    pub inductance: Known,
+    pub back_emf: Known,
+    pub gear_ratio: f64,
+    pub pole_pairs: f64,
+    pub supply_voltage: f64,
+    /// half-width of the known play, at the motor [rad]
+    pub play: f64,
+    pub controller: Option<ControllerLaw>,
+    /// what the bench file does not say and the model's file did
+    pub from_model: Vec<&'static str>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    Fit,
+    HeldOut,
+    Baseline,
+    Repeat,
+}
+
+impl Role {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fit => "fit",
+            Self::HeldOut => "heldout",
+            Self::Baseline => "baseline",
+            Self::Repeat => "repeat",
+        }
+    }
+}
+
+/// A file of runs.
+#[derive(Clone, Debug)]
+pub struct RunSpec {
+    pub file: PathBuf,
+    pub role: Role,
+    pub window_s: Option<(f64, f64)>,
+    /// column and value, as text
+    pub filter: Vec<(String, String)>,
+    pub split: Vec<String>,
+}
+
+/// A bench file.
+#[derive(Clone, Debug)]
+pub struct Bench {
+    pub file: String,
+    pub rig: Rig,
+    pub channels: Vec<ChannelSpec>,
+    pub runs: Vec<RunSpec>,
+}
+
+const NOT_BELOW: &str = "a finite number of at least 0";
+const UP: &str = "a finite number above 0";
+
+/// A number, or `{ value, unit, trust }`.
+fn known(s: &mut Section, key: &str, q: Quantity, lead: Option<f64>, default: Option<f64>) -> Result<Option<Known>> {
+    let Some(v) = s.raw(key) else {
+        return Ok(default.map(|value| Known { value, trust: None }));
+    };
+    let number = |v: &toml::Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
+    let (value, unit, trust) = match &v {
+        toml::Value::Table(t) => {
+            let allowed = ["value", "unit", "trust", "source"];
+            if let Some(k) = t.keys().find(|k| !allowed.contains(&k.as_str())) {
+                return Err(s.bad(&format!("{key}.{k}"), "an unknown key", allowed.join(", ")));
+            }
+            let value = t.get("value").and_then(number);
+            let unit = t.get("unit").and_then(|u| u.as_str()).unwrap_or(q.si());
+            let trust = match t.get("trust") {
+                None => None,
+                Some(v) => match number(v) {
+                    Some(x) if (0.0..=10.0).contains(&x) => Some(x),
+                    _ => return Err(s.bad(&format!("{key}.trust"), v, "0 to 10, relative, one sigma")),
+                },
+            };
+            (value, unit.to_string(), trust)
+        }
+        v => (number(v), q.si().to_string(), None),
+    };
+    let Some(value) = value.filter(|x| x.is_finite() && *x >= 0.0) else {
+        return Err(s.bad(key, v, NOT_BELOW));
+    };
+    let factor = q.factor(&unit, lead);
+    let factor = factor.map_err(|a| s.bad(&format!("{key}.unit"), format!("`{unit}`"), format!("one of {a}")))?;
+    Ok(Some(Known {
+        value: value * factor,
+        trust,
+    }))
+}
+
+impl Bench {
+    /// Reads a bench file; what it does not say of the rig is taken from the actuator.
+    pub fn read(path: &Path, actuator: &ActuatorParameters) -> Result<Self> {
+        let mut s = toml_section::read(path)?;
+        let mut rig_section = s.section("rig")?;
+        let rig = rig(&mut rig_section, actuator)?;
+        rig_section.finish()?;
+        let mut c = s.section("channels")?;
+        let mut channels = Vec::new();
+        for channel in BenchChannel::ALL {
+            if c.has(channel.name()) {
+                let mut t = c.section(channel.name())?;
+                channels.push(channel_spec(&mut t, channel, &rig)?);
+                t.finish()?;
+            }
+        }
+        c.finish().map_err(|e| match e {
+            Error::Bad { file, place, found, .. } => {
+                let all: Vec<&str> = BenchChannel::ALL.iter().map(|c| c.name()).collect();
+                Error::bad(file, place, found, all.join(", "))
+            }
+            e => e,
+        })?;
+        let dir = path.parent().unwrap_or(Path::new("."));
+        let mut runs = Vec::new();
+        for mut t in s.sections("run")? {
+            runs.push(run_spec(&mut t, dir)?);
+            t.finish()?;
+        }
+        if runs.is_empty() {
+            return Err(s.bad("run", "nothing", "at least one [[run]] with file and role"));
+        }
+        let bench = Self {
+            file: path.display().to_string(),
+            rig,
+            channels,
+            runs,
+        };
+        for needed in [BenchChannel::Time, bench.rig.drive] {
+            if bench.channel(needed).is_none() && !bench.is_comparison() {
+                let found = format!("no channel `{}`", needed.name());
+                return Err(Error::bad(&bench.file, "key `channels`", found, "time, position and the drive signal"));
+            }
+        }
+        s.finish()?;
+        Ok(bench)
+    }
+
+    pub fn channel(&self, c: BenchChannel) -> Option<&ChannelSpec> {
+        self.channels.iter().find(|s| s.channel == c)
+    }
+
+    /// Only an unsigned current: states can be compared, no equation can be set up.
+    pub fn is_comparison(&self) -> bool {
+        self.channel(self.rig.drive).is_none() && self.channel(BenchChannel::CurrentAbs).is_some()
+    }
+}
+
+fn rig(s: &mut Section, a: &ActuatorParameters) -> Result<Rig> {
+    let kind = s.text("kind", "rotary or linear")?;
+    let linear = match kind.as_str() {
+        "rotary" => false,
+        "linear" => true,
+        k => return Err(s.bad("kind", format!("`{k}`"), "rotary or linear")),
+    };
+    let lead = if linear {
+        let lead = s.number("lead_m_per_turn", |x| x > 0.0, UP)?;
+        Some(lead / std::f64::consts::TAU)
+    } else {
+        None
+    };
+    let drive = s.text("drive", "current, voltage, torque, force or command")?;
+    let drive = match drive.as_str() {
+        "current" | "command" => BenchChannel::Current,
+        "voltage" => BenchChannel::Voltage,
+        "torque" => BenchChannel::Torque,
+        "force" => BenchChannel::Force,
+        d => return Err(s.bad("drive", format!("`{d}`"), "current, voltage, torque, force or command")),
+    };
+    let mut from_model = Vec::new();
+    let mut take = |s: &mut Section, key: &'static str, q: Quantity, default: f64, identified: bool| -> Result<Known> {
+        let given = known(s, key, q, lead, None)?;
+        // what a study has written into the model's file is newer than the bench's data sheet
+        if identified {
+            let trust = given.and_then(|g| g.trust);
+            return Ok(Known { value: default, trust });
+        }
+        Ok(given.unwrap_or_else(|| {
+            from_model.push(key);
+            Known {
+                value: default,
+                trust: None,
+            }
+        }))
+    };
+    let is = |key: &str| a.identified.iter().any(|k| k == key);
+    let kt = a.torque_constant_n_m_per_a();
+    let direct = matches!(drive, BenchChannel::Torque | BenchChannel::Force);
+    let identified_kt = is("motor.back_emf_v_s_per_rad") && drive == BenchChannel::Current;
+    let drive_constant = take(
+        s,
+        "drive_constant",
+        Quantity::DriveConstant,
+        if direct { 1.0 } else { kt },
+        identified_kt,
+    )?;
+    let inertia = take(s, "inertia", Quantity::Inertia, a.inertia_kg_m2, is("motor.inertia_kg_m2"))?;
+    let viscous = take(
+        s,
+        "viscous",
+        Quantity::Viscous,
+        a.viscous_n_m_s_per_rad,
+        is("motor.viscous_n_m_s_per_rad"),
+    )?;
+    let fd = a.static_friction_n_m * a.dynamic_friction_ratio;
+    let coulomb = take(s, "coulomb", Quantity::Torque, fd, is("friction.static_n_m"))?;
+    let resistance = take(
+        s,
+        "resistance",
+        Quantity::Resistance,
+        2.0 * a.phase_resistance_ohm,
+        is("motor.phase_resistance_ohm"),
+    )?;
+    let inductance = take(s, "inductance", Quantity::Inductance, 2.0 * a.phase_inductance_h, false)?;
+    let back_emf = take(s, "back_emf_constant", Quantity::BackEmf, kt, is("motor.back_emf_v_s_per_rad"))?;
+    let offset = match s.raw("offset") {
+        None => 0.0,
+        Some(v) => {
+            let t = v.as_table();
+            let number = |v: &toml::Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
+            let value = t.map_or(number(&v), |t| t.get("value").and_then(number));
+            let unit = t.and_then(|t| t.get("unit")).and_then(|u| u.as_str()).unwrap_or("N m");
+            let factor = Quantity::Torque.factor(unit, lead);
+            let factor = factor.map_err(|u| s.bad("offset.unit", format!("`{unit}`"), format!("one of {u}")))?;
+            let value = value.filter(|x| x.is_finite());
+            value.ok_or_else(|| s.bad("offset", &v, "a finite number"))? * factor
+        }
+    };
+    let gear_ratio = known(s, "gear_ratio", Quantity::None, None, Some(a.gear_ratio))?.map_or(1.0, |k| k.value);
+    let gear_ratio = if linear && !s.has("gear_ratio") { 1.0 } else { gear_ratio };
+    let whole = |x: f64| x.fract() == 0.0 && (1.0..=100.0).contains(&x);
+    let pole_pairs = s.number_or("pole_pairs", a.pole_pairs as f64, whole, "a whole number from 1 to 100")?;
+    let supply_voltage = s.number_or("supply_voltage", a.supply_voltage_v, |x| x > 0.0, UP)?;
+    let controller = if s.has("controller") {
+        let mut c = s.section("controller")?;
+        let law = controller(&mut c, lead)?;
+        c.finish()?;
+        Some(law)
+    } else {
+        None
+    };
+    Ok(Rig {
+        linear,
+        lead,
+        drive,
+        drive_constant,
+        inertia,
+        viscous,
+        coulomb,
+        offset,
+        resistance,
+        inductance,
+        back_emf,
+        gear_ratio,
+        pole_pairs,
+        supply_voltage,
+        play: a.backlash_half_width_rad * a.gear_ratio,
+        controller,
+        from_model,
+    })
+}
+
+fn controller(c: &mut Section, lead: Option<f64>) -> Result<ControllerLaw> {
+    let mut plain = |key: &str, default: Option<f64>| -> Result<f64> {
+        let v = known(c, key, Quantity::None, None, default);
+        // units stand there for the reader only
+        match v {
+            Ok(Some(k)) => Ok(k.value),
+            Ok(None) => Err(c.bad(key, "nothing", UP)),
+            Err(e) => Err(e),
+        }
+    };
+    let lead = lead.unwrap_or(1.0);
+    let position_gain = plain("position_gain", None)?;
+    let speed_gain = plain("speed_gain", None)? * lead;
+    let integral_gain = plain("integral_gain", Some(0.0))? * lead;
+    let speed_limit = plain("speed_limit", Some(f64::MAX))? / lead;
+    let drive_limit = plain("drive_limit", Some(f64::MAX))?;
+    let current_loop = plain("current_time_constant_s", Some(0.0))?;
+    let rate_hz = plain("rate_hz", Some(0.0))?;
+    let lag_s = current_loop + if rate_hz > 0.0 { 0.5 / rate_hz } else { 0.0 };
+    let velocity = c.text_or("velocity", "measured")?;
+    let differenced = match velocity.as_str() {
+        "measured" => false,
+        "difference" => true,
+        v => return Err(c.bad("velocity", format!("`{v}`"), "measured or difference")),
+    };
+    let feedback = c.text_or("position", "motor")?;
+    let on_user = match feedback.as_str() {
+        "motor" => false,
+        "user" => true,
+        v => return Err(c.bad("position", format!("`{v}`"), "motor or user")),
+    };
+    Ok(ControllerLaw {
+        position_gain,
+        speed_gain,
+        integral_gain,
+        speed_limit,
+        drive_limit,
+        differenced,
+        on_user,
+        lag_s,
+    })
+}
+
+fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) -> Result<ChannelSpec> {
+    let column = t.text("column", "the name of a column")?;
+    let q = channel.quantity();
+    let unit = t.text_or("unit", q.si())?;
+    let factor = q.factor(&unit, rig.lead);
+    let factor = factor.map_err(|a| t.bad("unit", format!("`{unit}`"), format!("one of {a}")))?;
+    let scale = t.number_or("scale", 1.0, |x| x != 0.0, "a finite number other than 0")?;
+    // command and user position are the user's: brought to the motor
+    let gear = match channel {
+        BenchChannel::Command | BenchChannel::UserPosition if !rig.linear => rig.gear_ratio,
+        _ => 1.0,
+    };
+    let factor = factor * scale * gear;
+    let drive = matches!(
+        channel,
+        BenchChannel::Current | BenchChannel::CurrentAbs | BenchChannel::Voltage | BenchChannel::Torque
+    );
+    let sampling = t.text_or("sampling", if drive { "mean" } else { "point" })?;
+    let mean = match sampling.as_str() {
+        "mean" => true,
+        "point" => false,
+        v => return Err(t.bad("sampling", format!("`{v}`"), "point or mean")),
+    };
+    let delay_s = t.number_or("delay_s", 0.0, |x| x.abs() < 1.0, "a number within 1 s")?;
+    let size = factor.abs();
+    let resolution = t.number_or("resolution", 0.0, |x| x >= 0.0, NOT_BELOW)? * size;
+    let noise = match t.raw("noise") {
+        None if resolution > 0.0 => Noise::Known(0.0),
+        None => Noise::Estimated,
+        Some(toml::Value::String(s)) if s == "from repeats" => Noise::Repeats,
+        Some(v) => match v.as_float().or_else(|| v.as_integer().map(|i| i as f64)) {
+            Some(x) if x >= 0.0 && x.is_finite() => Noise::Known(x * size),
+            _ => return Err(t.bad("noise", &v, "rms in the channel's unit, or \"from repeats\"")),
+        },
+    };
+    Ok(ChannelSpec {
+        channel,
+        column,
+        factor,
+        mean,
+        delay_s,
+        resolution,
+        noise,
+    })
+}
+
+fn run_spec(t: &mut Section, dir: &Path) -> Result<RunSpec> {
+    let file = dir.join(expanded(t, "file")?);
+    let role = t.text("role", "fit, heldout, baseline or repeat")?;
+    let role = match role.as_str() {
+        "fit" => Role::Fit,
+        "heldout" => Role::HeldOut,
+        "baseline" => Role::Baseline,
+        "repeat" => Role::Repeat,
+        r => return Err(t.bad("role", format!("`{r}`"), "fit, heldout, baseline or repeat")),
+    };
+    let number = |v: &toml::Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
+    let window_s = match t.raw("window_s") {
+        None => None,
+        Some(v) => {
+            let pair: Vec<f64> = v.as_array().map(|a| a.iter().filter_map(number).collect()).unwrap_or_default();
+            match pair[..] {
+                [a, b] if a < b => Some((a, b)),
+                _ => return Err(t.bad("window_s", &v, "[from, to] in s, from before to")),
+            }
+        }
+    };
+    let filter = match t.raw("where") {
+        None => Vec::new(),
+        Some(toml::Value::Table(w)) => w
+            .iter()
+            .map(|(k, v)| (k.clone(), v.as_str().map_or_else(|| number(v).map_or_else(|| v.to_string(), |x| x.to_string()), str::to_string)))
+            .collect(),
+        Some(v) => return Err(t.bad("where", &v, "a table of columns and values")),
+    };
+    let split = match t.raw("split") {
+        None => Vec::new(),
+        Some(toml::Value::Array(a)) => a.iter().filter_map(|v| v.as_str().map(str::to_string)).collect(),
+        Some(v) => return Err(t.bad("split", &v, "a list of columns")),
+    };
+    Ok(RunSpec {
+        file,
+        role,
+        window_s,
+        filter,
+        split,
+    })
+}
+
+/// A path in which `$NAME` at the start stands for a variable of the environment.
+fn expanded(t: &mut Section, key: &str) -> Result<PathBuf> {
+    let text = t.text(key, "a path")?;
+    let Some(rest) = text.strip_prefix('$') else {
+        return Ok(text.into());
+    };
+    let (name, rest) = rest.split_once('/').unwrap_or((rest, ""));
+    match std::env::var(name) {
+        Ok(dir) => Ok(Path::new(&dir).join(rest)),
+        Err(_) => Err(t.bad(key, format!("${name}, which is not set"), "a path, or a variable that is set")),
+    }
+}

@@ -1,0 +1,555 @@
+//! The candidate effects driven by measured signals: for given shape parameters, what each would
+//! add to the equations. The equations themselves stand in `sim_worker::effect`.
+
+use super::signals::{Signals, shifted};
+use sim_worker::effect::{self, Constants, Effect, EffectKind, Equation};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// A signal in an equation, to be filtered (0), or filtered and differentiated once or twice.
+pub struct Piece {
+    pub equation: Equation,
+    pub order: usize,
+    pub signal: Vec<f64>,
+}
+
+/// What one amplitude multiplies.
+pub type Column = Vec<Piece>;
+
+/// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
+#[derive(Default)]
+pub struct Contribution {
+    pub fixed: Column,
+    pub linear: Vec<Column>,
+}
+
+/// Constants of the rig that the candidates refer to.
+#[derive(Clone, Copy, Debug)]
+pub struct RigConstants {
+    pub effect: Constants,
+    pub inertia: f64,
+    pub back_emf: f64,
+    pub supply_voltage: f64,
+    /// the drive channel is a measured current
+    pub measured_current: bool,
+    /// speed and acceleration come from the position
+    pub from_position: bool,
+    /// error of the angle sensor as far as it is known: amplitudes of sine and cosine [rad]
+    pub encoder: (f64, f64),
+}
+
+impl RigConstants {
+    /// The true angle, by fixed-point iteration.
+    fn true_angle(&self, measured: f64) -> f64 {
+        let (a, b) = self.encoder;
+        let mut t = measured;
+        if a != 0.0 || b != 0.0 {
+            for _ in 0..4 {
+                t = measured - (a * t.sin() + b * t.cos());
+            }
+        }
+        t
+    }
+}
+
+/// Which parameters of an effect are linear amplitudes, which are shape.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// the first parameter is an amplitude, the others shape
+    Amplitude,
+    /// amplitude and phase are two linear amplitudes, the order is shape
+    Periodic,
+    /// all parameters are shape
+    Shape,
+    /// stiffness from an amplitude and a distance
+    Presliding,
+    /// a temperature rise from the share of the measured one
+    Heating,
+}
+
+pub fn form(kind: EffectKind) -> Form {
+    match kind {
+        EffectKind::PeriodicFriction
+        | EffectKind::Cogging
+        | EffectKind::TorqueRipple
+        | EffectKind::Eccentricity
+        | EffectKind::EncoderEccentricity => Form::Periodic,
+        EffectKind::Compliance | EffectKind::Backlash | EffectKind::CommutationOffset | EffectKind::ControlDelay => {
+            Form::Shape
+        }
+        EffectKind::Presliding => Form::Presliding,
+        EffectKind::WindingHeating => Form::Heating,
+        _ => Form::Amplitude,
+    }
+}
+
+fn moments<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = effect::Signals> + 'a {
+    (0..s.n).map(move |k| effect::Signals {
+        theta: s.theta[k],
+        rest: s.rest,
+        omega: s.omega[k],
+        sign: s.sign[k],
+        current: s.drive[k],
+        current_rate: s.drive_rate[k],
+        load: s.load[k],
+        temperature: s.temperature.as_ref().map_or(effect::REFERENCE_TEMPERATURE_DEGC, |t| t[k]),
+        duty: s.voltage.as_ref().map_or(0.0, |v| v[k])
+            / s.supply.as_ref().map_or(c.supply_voltage, |v| v[k].max(1e-3)),
+    })
+}
+
+/// Mean of `f` over each sample, in which the rotor turns on: exact for a steady speed where the
+/// effect is a sine of the angle, over some points of the sample where it has steps.
+fn averaged(e: &Effect, s: &Signals, c: &RigConstants, f: impl Fn(&effect::Signals) -> f64) -> Vec<f64> {
+    let period = 1.0 / s.rate_hz;
+    match e.kind {
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => moments(s, c)
+            .map(|m| {
+                let x = 0.5 * e.values[2] * m.omega * period;
+                f(&m) * if x.abs() > 1e-6 { x.sin() / x } else { 1.0 }
+            })
+            .collect(),
+        EffectKind::Eccentricity | EffectKind::TurnShort | EffectKind::CommutationOffset => moments(s, c)
+            .map(|m| {
+                let points = [-0.4, -0.2, 0.0, 0.2, 0.4];
+                let at = |d: &f64| f(&effect::Signals { theta: m.theta + d * m.omega * period, ..m });
+                points.iter().map(at).sum::<f64>() / points.len() as f64
+            })
+            .collect(),
+        _ => moments(s, c).map(|m| f(&m)).collect(),
+    }
+}
+
+/// Torque and voltage of an effect over a run.
+fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
+    let mut column = Vec::new();
+    let torque = averaged(e, s, c, |m| e.torque(m, &c.effect));
+    if torque.iter().any(|x| *x != 0.0) {
+        column.push(Piece {
+            equation: Equation::Torque,
+            order: 0,
+            signal: torque,
+        });
+    }
+    let electrical = matches!(
+        e.kind,
+        EffectKind::TorqueRipple
+            | EffectKind::Eccentricity
+            | EffectKind::CommutationOffset
+            | EffectKind::TurnShort
+            | EffectKind::CurrentOffset
+            | EffectKind::CurrentGain
+            | EffectKind::DeadTime
+            | EffectKind::SupplySag
+            | EffectKind::WindingHeating
+    );
+    if electrical && s.voltage.is_some() && c.measured_current {
+        column.push(Piece {
+            equation: Equation::Electrical,
+            order: 0,
+            signal: averaged(e, s, c, |m| e.voltage(m, &c.effect)),
+        });
+    }
+    column
+}
+
+/// `sin` and `cos` of the angle, times what an angle error does to each equation.
+fn encoder(s: &Signals, c: &RigConstants, f: fn(f64) -> f64) -> Column {
+    let error: Vec<f64> = s.theta.iter().map(|t| f(c.true_angle(*t))).collect();
+    let times = |g: f64| -> Vec<f64> { error.iter().map(|e| g * e).collect() };
+    let mut column = Vec::new();
+    let mut add = |equation, order, signal| {
+        column.push(Piece {
+            equation,
+            order,
+            signal,
+        })
+    };
+    if c.from_position {
+        add(Equation::Torque, 2, times(-c.inertia));
+        add(Equation::Torque, 1, times(-c.effect.viscous));
+        if s.voltage.is_some() {
+            add(Equation::Electrical, 1, times(-c.back_emf));
+        }
+    }
+    if s.user.is_some() {
+        add(Equation::Transmission, 0, times(-1.0));
+    }
+    if s.velocity.is_some() {
+        add(Equation::Kinematic, 1, times(-1.0));
+    }
+    column
+}
+
+/// What `kind` with the shape parameters `shape` would add; empty where the channels it needs are not there.
+pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants) -> Contribution {
+    let mut out = Contribution::default();
+    let amplitude = |values: &[f64]| driven(&Effect::new(kind, values), s, c);
+    match kind {
+        EffectKind::LoadDependentFriction if !s.has_load => {}
+        EffectKind::TemperatureDependentFriction | EffectKind::WindingHeating if s.temperature.is_none() => {}
+        EffectKind::WindingHeating => {
+            // amplitude 1: the winding is as much warmer than 20 degC as the sensor says
+            if s.voltage.is_some() {
+                let t = s.temperature.as_ref().expect("checked");
+                let signal = (0..s.n).map(|k| {
+                    let rise = t[k] - effect::REFERENCE_TEMPERATURE_DEGC;
+                    c.effect.resistance * effect::COPPER_PER_K * rise * s.drive[k]
+                });
+                out.linear.push(vec![Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: signal.collect(),
+                }]);
+            }
+        }
+        EffectKind::EncoderEccentricity => {
+            out.linear = vec![encoder(s, c, f64::sin), encoder(s, c, f64::cos)];
+        }
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
+            out.linear = vec![amplitude(&[1.0, 0.0, shape[0]]), amplitude(&[1.0, -FRAC_PI_2, shape[0]])];
+        }
+        EffectKind::Eccentricity => {
+            out.linear = vec![amplitude(&[1.0, 0.0]), amplitude(&[1.0, -FRAC_PI_2])];
+        }
+        EffectKind::CommutationOffset => out.fixed = amplitude(shape),
+        EffectKind::CurrentGain => {
+            // linear in g/(1+g); the torque that the model expects stands for that of the measured
+            // current, whose noise would fit itself
+            let torque = (0..s.n).map(|k| {
+                c.inertia * s.accel[k] + c.effect.viscous * s.omega[k] + c.effect.coulomb * s.sign[k] + s.load[k]
+            });
+            let mut column = vec![Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: torque.collect(),
+            }];
+            if s.voltage.is_some() && c.measured_current {
+                column.push(Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: s.drive.iter().map(|i| -c.effect.resistance * i).collect(),
+                });
+                out.linear.push(column);
+            }
+        }
+        EffectKind::Presliding => {
+            let sliding = dahl(s, shape[0]);
+            let signal = sliding.iter().zip(&s.sign).map(|(z, sign)| c.effect.coulomb * (z - sign));
+            out.linear.push(vec![Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: signal.collect(),
+            }]);
+            // damping of the bristles, whose deflection is `distance` at most
+            out.linear.push(vec![Piece {
+                equation: Equation::Torque,
+                order: 1,
+                signal: sliding.iter().map(|z| shape[0] * z).collect(),
+            }]);
+        }
+        EffectKind::Backlash => {
+            if s.user.is_some() {
+                let (followed, free) = loose(s, 0.5 * shape[0], shape[1], shape[2]);
+                let signal = followed.iter().zip(&s.theta).map(|(u, t)| u - t);
+                out.fixed.push(Piece {
+                    equation: Equation::Transmission,
+                    order: 0,
+                    signal: signal.collect(),
+                });
+                // in the gap the load's share of friction and inertia is gone
+                for x in [&s.sign, &s.accel] {
+                    out.linear.push(vec![Piece {
+                        equation: Equation::Torque,
+                        order: 0,
+                        signal: x.iter().zip(&free).map(|(x, g)| -x * g).collect(),
+                    }]);
+                }
+            }
+        }
+        EffectKind::Compliance => {
+            let (torque, deflection) = two_mass(s, shape[0], shape[1], shape[2]);
+            out.fixed.push(Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: torque,
+            });
+            if s.user.is_some() {
+                out.fixed.push(Piece {
+                    equation: Equation::Transmission,
+                    order: 0,
+                    signal: deflection,
+                });
+            }
+        }
+        EffectKind::ControlDelay => {
+            let late = |x: &[f64]| shifted(x, -shape[0] * s.rate_hz);
+            if let Some((law, _)) = &s.law {
+                let signal = late(law).into_iter().zip(law).map(|(l, p)| l - p).collect();
+                out.fixed.push(Piece {
+                    equation: Equation::Controller,
+                    order: 1,
+                    signal,
+                });
+            }
+            if !c.measured_current {
+                // what was demanded drives the motor later
+                let kt = c.effect.torque_constant;
+                let signal = late(&s.drive).into_iter().zip(&s.drive).map(|(l, p)| kt * (p - l));
+                out.fixed.push(Piece {
+                    equation: Equation::Torque,
+                    order: 0,
+                    signal: signal.collect(),
+                });
+            }
+        }
+        _ => {
+            let mut values = vec![1.0];
+            values.extend_from_slice(shape);
+            let column = amplitude(&values);
+            if !column.is_empty() {
+                out.linear.push(column);
+            }
+        }
+    }
+    out.linear.retain(|c| !c.is_empty());
+    out
+}
+
+/// Dahl's bristle deflection over its greatest, driven by the measured motion; `distance` is the
+/// motor angle over which friction turns round [rad].
+fn dahl(s: &Signals, distance: f64) -> Vec<f64> {
+    let mut z: f64 = 0.0;
+    let dt = 1.0 / s.rate_hz;
+    s.omega
+        .iter()
+        .map(|w| {
+            let end = w.signum();
+            let before = z;
+            let x = w.abs() * dt / distance;
+            // exact for a constant speed over the sample; the mean over it
+            z = end + (z - end) * (-x).exp();
+            if x > 1e-9 { end + (before - end) * -(-x).exp_m1() / x } else { z }
+        })
+        .collect()
+}
+
+/// A load that the motor pushes through a gap of half-width `half`: its angle, and 1 where it is
+/// pushed by neither side. Let go, it is slowed down by its own friction; impacts are plastic.
+///
+/// * `slowing` friction of the load over its inertia [rad/s2]; without end it is the play operator
+/// * `per_inertia` one over its inertia: how much a load torque accelerates it [1/(kg m2)]
+fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64) -> (Vec<f64>, Vec<f64>) {
+    let dt = 1.0 / s.rate_hz;
+    let (mut x, mut w) = (s.theta[0], s.omega[0]);
+    let mut free = Vec::with_capacity(s.n);
+    let followed = (0..s.n)
+        .map(|k| {
+            let before = w;
+            let push = -s.load[k] * per_inertia;
+            // friction stops it, and holds it while nothing stronger pushes
+            w += push * dt;
+            let brake = slowing * dt;
+            w = if w.abs() <= brake { 0.0 } else { w - brake * w.signum() };
+            x += 0.5 * (before + w) * dt;
+            let gap = s.theta[k] - x;
+            let pushed = gap.abs() >= half;
+            if pushed {
+                x = s.theta[k] - half * gap.signum();
+                // pushed along, unless it runs away by itself
+                let along = s.omega[k];
+                w = if gap > 0.0 { w.max(along) } else { w.min(along) };
+            }
+            free.push(if pushed { 0.0 } else { 1.0 });
+            x
+        })
+        .collect();
+    (followed, free)
+}
+
+/// The load mass on its spring, driven by the motor's measured motion and the load torque: torque
+/// that the motor feels less that of a rigid shaft [N m], and angle of the load less the motor's [rad].
+fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> (Vec<f64>, Vec<f64>) {
+    let natural = (stiffness / inertia.max(1e-12)).sqrt();
+    let substeps = (natural / s.rate_hz * 8.0).ceil().clamp(2.0, 40.0) as usize;
+    let dt = 1.0 / (s.rate_hz * substeps as f64);
+    let (mut x, mut w) = (s.theta[0], s.omega[0]);
+    let mut torque = Vec::with_capacity(s.n);
+    let mut deflection = Vec::with_capacity(s.n);
+    for k in 0..s.n {
+        let next = (k + 1).min(s.n - 1);
+        let shaft = stiffness * (s.theta[k] - x) + damping * (s.omega[k] - w);
+        torque.push(shaft - inertia * s.accel[k] - s.load[k]);
+        deflection.push(x - s.theta[k]);
+        for j in 0..substeps {
+            let share = (j as f64 + 0.5) / substeps as f64;
+            let theta = s.theta[k] + share * (s.theta[next] - s.theta[k]);
+            let omega = s.omega[k] + share * (s.omega[next] - s.omega[k]);
+            // implicit in the load's speed
+            let load = s.load[k] + share * (s.load[next] - s.load[k]);
+            let drive = stiffness * (theta - x) + damping * (omega - w) - load;
+            w += dt / (inertia + dt * (damping + dt * stiffness)) * (drive - dt * stiffness * w);
+            x += w * dt;
+        }
+    }
+    (torque, deflection)
+}
+
+/// The effect from shape parameters and fitted amplitudes.
+///
+/// * `coulomb`, `hottest` nominal dry friction [N m] and greatest measured rise over 20 degC [K]
+pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64, hottest: f64) -> Effect {
+    let a = |i: usize| amplitudes.get(i).copied().unwrap_or(0.0);
+    let values: Vec<f64> = match form(kind) {
+        Form::Amplitude if kind == EffectKind::CurrentGain => vec![a(0) / (1.0 - a(0))],
+        Form::Amplitude => [&[a(0)], shape].concat(),
+        Form::Periodic if kind == EffectKind::EncoderEccentricity => vec![a(0).hypot(a(1)), a(1).atan2(a(0))],
+        Form::Periodic => [&[a(0).hypot(a(1)), (-a(1)).atan2(a(0))], shape].concat(),
+        Form::Shape => shape[..kind.keys().len()].to_vec(),
+        Form::Presliding => vec![a(0) * coulomb / shape[0], a(1).max(0.0)],
+        Form::Heating => vec![a(0) * hottest],
+    };
+    Effect::new(kind, &values).wrapped()
+}
+
+/// Shape parameters and amplitudes of an effect: the way back.
+pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
+    let v = &e.values[..e.kind.keys().len()];
+    match form(e.kind) {
+        Form::Amplitude if e.kind == EffectKind::CurrentGain => (vec![], vec![v[0] / (1.0 + v[0])]),
+        Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
+        Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {
+            (vec![], vec![v[0] * v[1].cos(), v[0] * v[1].sin()])
+        }
+        Form::Periodic => (v[2..].to_vec(), vec![v[0] * v[1].cos(), -v[0] * v[1].sin()]),
+        Form::Shape if e.kind == EffectKind::Backlash => (vec![v[0], 1e6, 0.0], vec![0.0, 0.0]),
+        Form::Shape => (v.to_vec(), vec![]),
+        Form::Presliding => (vec![coulomb / v[0]], vec![1.0, v[1]]),
+        Form::Heating => (vec![], vec![v[0] / hottest.max(1e-9)]),
+    }
+}
+
+/// Shapes to start from for a kind, over the range of the signals of the fit runs.
+pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
+    let all = |f: fn(&Signals) -> &Vec<f64>| runs.iter().flat_map(move |r| f(r).iter().copied());
+    let (low, high) = all(|s| &s.theta).fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+    let fastest = all(|s| &s.omega).fold(0.0, |a: f64, x| a.max(x.abs()));
+    let stroke = high - low;
+    let log = |from: f64, to: f64, n: usize| -> Vec<f64> {
+        (0..n).map(|i| from * (to / from).powf(i as f64 / (n - 1) as f64)).collect()
+    };
+    let one = |v: Vec<f64>| -> Vec<Vec<f64>> { v.into_iter().map(|x| vec![x]).collect() };
+    match kind {
+        EffectKind::Stribeck => {
+            let speeds = log(1e-3 * fastest, 0.4 * fastest, 9);
+            speeds.iter().flat_map(|&w| [1.0, 2.0].map(|d| vec![w, d])).collect()
+        }
+        EffectKind::LubricatedRise => one(log(1e-3 * fastest, 0.3 * fastest, 9)),
+        EffectKind::TightSpot => {
+            let mut out = Vec::new();
+            for width in [0.02, 0.05, 0.12] {
+                let n = (0.8 / width) as usize;
+                out.extend((0..=n).map(|i| vec![low + stroke * i as f64 / n as f64, width * stroke]));
+            }
+            out
+        }
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
+            // at least one whole period within the stroke
+            let orders = [0.5].into_iter().chain((1..=24).map(f64::from));
+            one(orders.filter(|n| n * stroke > 1.2 * TAU).collect())
+        }
+        EffectKind::Presliding => one(log(1e-5 * stroke.max(1.0), 0.05 * stroke, 9)),
+        EffectKind::CommutationOffset => one([-0.7, -0.45, -0.25, -0.12, 0.12, 0.25, 0.45, 0.7].to_vec()),
+        EffectKind::Backlash => {
+            let free = 1.0 / (0.5 * c.inertia);
+            let gaps = log(1e-5 * stroke, 0.1 * stroke, 12);
+            let slow = [1e6, 3e3, 3e2];
+            gaps.iter().flat_map(|&g| slow.map(|d| vec![g, d, if d > 1e5 { 0.0 } else { free }])).collect()
+        }
+        EffectKind::Compliance => {
+            let rate = runs[0].rate_hz;
+            let mut out = Vec::new();
+            if let Some((k, j)) = deflected(runs) {
+                for share in [0.02, 0.1, 0.4] {
+                    out.push(vec![k, share * (k * j).sqrt(), j]);
+                }
+            }
+            for f in log(0.004 * rate, 0.12 * rate, 8) {
+                for share in [0.25, 0.6] {
+                    let j = share * c.inertia;
+                    let k = j * (TAU * f).powi(2);
+                    out.push(vec![k, 0.1 * (k * j).sqrt(), j]);
+                }
+            }
+            out
+        }
+        EffectKind::TurnShort => one(vec![0.0, 1.0, 2.0]),
+        EffectKind::ControlDelay => one(log(0.2 / runs[0].rate_hz, 40.0 / runs[0].rate_hz, 10)),
+        _ => vec![vec![]],
+    }
+}
+
+/// Stiffness and load inertia from the measured deflection, as a spring without dynamics shows it.
+fn deflected(runs: &[Signals]) -> Option<(f64, f64)> {
+    let mut g = [[0.0; 2]; 2];
+    let mut r = [0.0; 2];
+    for s in runs {
+        let user = s.user.as_ref()?;
+        let smooth = |x: &[f64], k: usize| x[k - 4..=k + 4].iter().sum::<f64>() / 9.0;
+        let mean = (4..s.n - 4).map(|k| user[k] - s.position[k]).sum::<f64>() / (s.n - 8) as f64;
+        for k in 4..s.n - 4 {
+            let v = [smooth(&s.accel, k), smooth(&s.load, k)];
+            let y = mean - (user[k] - s.position[k]);
+            for i in 0..2 {
+                r[i] += v[i] * y;
+                for j in 0..2 {
+                    g[i][j] += v[i] * v[j];
+                }
+            }
+        }
+    }
+    let det = g[0][0] * g[1][1] - g[0][1] * g[1][0];
+    let (a, b) = if det > 1e-9 * g[0][0] * g[1][1] {
+        ((r[0] * g[1][1] - r[1] * g[0][1]) / det, (r[1] * g[0][0] - r[0] * g[0][1]) / det)
+    } else {
+        return None;
+    };
+    (a > 0.0 && b > 0.0).then(|| (1.0 / b, a / b))
+}
+
+/// Whether a shape parameter is refined on a logarithmic scale; `None` where it is not refined.
+pub fn scales(kind: EffectKind) -> &'static [Option<bool>] {
+    const LOG: Option<bool> = Some(true);
+    const LIN: Option<bool> = Some(false);
+    match kind {
+        EffectKind::Stribeck => &[LOG, LIN],
+        EffectKind::LubricatedRise | EffectKind::Presliding | EffectKind::ControlDelay => &[LOG],
+        EffectKind::Backlash => &[LOG, LOG, LIN],
+        EffectKind::TightSpot => &[LIN, LOG],
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
+        EffectKind::CommutationOffset => &[LIN],
+        EffectKind::Compliance => &[LOG, LOG, LOG],
+        EffectKind::TurnShort => &[None],
+        _ => &[],
+    }
+}
+
+/// Physical limits of the shape parameters, over those of the effect's keys.
+pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
+    let fastest = runs.iter().flat_map(|r| &r.omega).fold(0.0, |a: f64, x| a.max(x.abs()));
+    let all = runs.iter().flat_map(|r| &r.theta);
+    let (low, high) = all.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    let stroke = high - low;
+    match kind {
+        EffectKind::Stribeck => vec![(1e-4 * fastest, 0.7 * fastest), (0.8, 2.2)],
+        EffectKind::LubricatedRise => vec![(1e-4 * fastest, 0.5 * fastest)],
+        EffectKind::TightSpot => vec![(low - 0.05 * stroke, high + 0.05 * stroke), (0.004 * stroke, 0.25 * stroke)],
+        EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke)],
+        EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1.0, 1e7), (0.0, 1e7)],
+        EffectKind::CommutationOffset => vec![(-1.5, 1.5)],
+        EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
+        EffectKind::TurnShort => vec![(0.0, 2.0)],
+        EffectKind::ControlDelay => vec![(1e-6, 0.5)],
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => vec![(0.1, 1000.0)],
+        _ => vec![],
+    }
+}

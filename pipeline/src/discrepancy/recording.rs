@@ -1,0 +1,216 @@
+//! Runs of a bench: columns of files brought to SI at the motor, on an even clock, and looked at
+//! for the usual mistakes before anything is fitted.
+
+use super::bench::{Bench, BenchChannel, ChannelSpec, Noise, Role, RunSpec};
+use super::table::Table;
+use schemas::error::{Error, Result};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Fewest samples of a run.
+const FEWEST: usize = 64;
+/// Largest step of the clock over its median that is not a jump (assumed).
+const JUMP: f64 = 1.5;
+
+/// One run, SI at the motor.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// file and what of it
+    pub name: String,
+    pub role: Role,
+    pub rate_hz: f64,
+    /// time of the first sample [s]
+    pub start_s: f64,
+    pub samples: usize,
+    channels: BTreeMap<BenchChannel, Vec<f64>>,
+    /// hash of the file
+    pub hash: String,
+    /// the columns of `split` and `where`, with their values
+    pub labels: Vec<(String, String)>,
+}
+
+impl Run {
+    pub fn channel(&self, c: BenchChannel) -> Option<&[f64]> {
+        self.channels.get(&c).map(Vec::as_slice)
+    }
+
+    pub fn duration_s(&self) -> f64 {
+        self.samples as f64 / self.rate_hz
+    }
+}
+
+/// Reads all runs of a bench; a file is read once.
+pub fn read_runs(bench: &Bench) -> Result<Vec<Run>> {
+    let mut tables: BTreeMap<PathBuf, Table> = BTreeMap::new();
+    let mut runs = Vec::new();
+    for spec in &bench.runs {
+        if !tables.contains_key(&spec.file) {
+            tables.insert(spec.file.clone(), Table::read(&spec.file)?);
+        }
+        let table = &tables[&spec.file];
+        for (labels, rows) in split(table, spec)? {
+            runs.push(run(bench, spec, table, labels, &rows)?);
+        }
+    }
+    Ok(runs)
+}
+
+type Labels = Vec<(String, String)>;
+
+/// Rows of each run that a `[[run]]` makes of its file.
+fn split(table: &Table, spec: &RunSpec) -> Result<Vec<(Labels, Vec<usize>)>> {
+    let mut rows: Vec<usize> = (0..table.rows).collect();
+    for (column, value) in &spec.filter {
+        let texts = table.texts(column)?;
+        rows.retain(|&r| texts[r] == *value);
+        if rows.is_empty() {
+            let found = format!("no row with {column} = {value}");
+            return Err(Error::bad(&table.file, "where", found, "a value that is there"));
+        }
+    }
+    if spec.split.is_empty() {
+        return Ok(vec![(spec.filter.clone(), rows)]);
+    }
+    let keys = spec.split.iter().map(|c| table.texts(c));
+    let keys = keys.collect::<Result<Vec<_>>>()?;
+    let mut groups: Vec<(Labels, Vec<usize>)> = Vec::new();
+    for r in rows {
+        let values = spec.split.iter().zip(&keys).map(|(c, k)| (c.clone(), k[r].clone()));
+        let labels: Labels = spec.filter.iter().cloned().chain(values).collect();
+        match groups.iter_mut().find(|(l, _)| *l == labels) {
+            Some((_, rows)) => rows.push(r),
+            None => groups.push((labels, vec![r])),
+        }
+    }
+    Ok(groups)
+}
+
+fn run(bench: &Bench, spec: &RunSpec, table: &Table, labels: Labels, rows: &[usize]) -> Result<Run> {
+    let bad = |place: String, found: String, allowed: &str| Error::bad(&table.file, place, found, allowed);
+    let time_spec = bench.channel(BenchChannel::Time);
+    let time_spec = time_spec.ok_or_else(|| bad("channels".into(), "no time".into(), "a channel `time`"))?;
+    let column = table.numbers(&time_spec.column)?;
+    let mut rows = rows.to_vec();
+    if let Some((from, to)) = spec.window_s {
+        rows.retain(|&r| {
+            let t = column[r] * time_spec.factor;
+            t >= from && t <= to
+        });
+    }
+    if rows.len() < FEWEST && !bench.is_comparison() {
+        let found = format!("{} rows", rows.len());
+        return Err(bad("run".into(), found, "at least 64 rows in the window"));
+    }
+    let time: Vec<f64> = rows.iter().map(|&r| column[r] * time_spec.factor).collect();
+    let n = time.len();
+    let clock = |k: usize| format!("column `{}`, row {}", time_spec.column, rows[k] + 1);
+    if let Some(k) = time.iter().position(|t| !t.is_finite()) {
+        return Err(bad(clock(k), time[k].to_string(), "a finite time"));
+    }
+    if let Some(k) = (1..n).find(|&k| time[k] <= time[k - 1]) {
+        let found = format!("{} s after {} s", time[k], time[k - 1]);
+        return Err(bad(clock(k), found, "rising times (the clock went back; several runs in one file? use `split`)"));
+    }
+    let mut steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
+    let order = n.saturating_sub(1) / 2;
+    let median = *steps.select_nth_unstable_by(order, f64::total_cmp).1;
+    if let Some(k) = (1..n).find(|&k| time[k] - time[k - 1] > JUMP * median) {
+        let found = format!("a step of {:.6} s where {:.6} s is usual", time[k] - time[k - 1], median);
+        return Err(bad(clock(k), found, "a steady clock (it jumped; cut the run with `window_s`)"));
+    }
+    let step = (time[n - 1] - time[0]) / (n - 1) as f64;
+    let even = time.iter().enumerate().all(|(k, t)| (t - time[0] - k as f64 * step).abs() < 0.02 * step);
+    let mut channels = BTreeMap::new();
+    for c in &bench.channels {
+        if c.channel == BenchChannel::Time {
+            continue;
+        }
+        let column = table.numbers(&c.column)?;
+        let x: Vec<f64> = rows.iter().map(|&r| column[r] * c.factor).collect();
+        if let Some(k) = x.iter().position(|x| !x.is_finite()) {
+            let place = format!("column `{}`, row {}", c.column, rows[k] + 1);
+            return Err(bad(place, column[rows[k]].to_string(), "a finite number"));
+        }
+        let x = if even { x } else { evened(&time, &x, step) };
+        channels.insert(c.channel, x);
+    }
+    let label: Vec<String> = labels.iter().map(|(k, v)| format!("{k} {v}")).collect();
+    let stem = spec.file.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut name = stem;
+    if !label.is_empty() {
+        name = format!("{name} ({})", label.join(", "));
+    }
+    if let Some((from, to)) = spec.window_s {
+        name = format!("{name} [{from} to {to} s]");
+    }
+    Ok(Run {
+        name,
+        role: spec.role,
+        rate_hz: 1.0 / step,
+        start_s: time[0],
+        samples: n,
+        channels,
+        hash: table.hash.clone(),
+        labels,
+    })
+}
+
+/// Values at even times, straight between the samples.
+fn evened(time: &[f64], x: &[f64], step: f64) -> Vec<f64> {
+    let mut at = 0;
+    (0..time.len())
+        .map(|k| {
+            let t = time[0] + k as f64 * step;
+            while at + 2 < time.len() && time[at + 1] < t {
+                at += 1;
+            }
+            let share = ((t - time[at]) / (time[at + 1] - time[at])).clamp(0.0, 1.0);
+            x[at] + share * (x[at + 1] - x[at])
+        })
+        .collect()
+}
+
+/// rms noise of one sample of a channel, resolution included; SI at the motor.
+pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> f64 {
+    let grain = spec.resolution / 12f64.sqrt();
+    let white = match spec.noise {
+        Noise::Known(x) => x,
+        Noise::Repeats => from_repeats(spec.channel, runs).unwrap_or_else(|| estimated(spec.channel, runs)),
+        Noise::Estimated => return estimated(spec.channel, runs),
+    };
+    white.hypot(grain)
+}
+
+/// From the fourth differences, in which a smooth signal leaves little: their median square, so that
+/// jumps do not count.
+fn estimated(channel: BenchChannel, runs: &[Run]) -> f64 {
+    let mut all: Vec<f64> = Vec::new();
+    for x in runs.iter().filter_map(|r| r.channel(channel)) {
+        all.extend(x.windows(5).map(|w| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).abs()));
+    }
+    if all.is_empty() {
+        return 0.0;
+    }
+    let middle = all.len() / 2;
+    let median = *all.select_nth_unstable_by(middle, f64::total_cmp).1;
+    median / 0.6745 / 70f64.sqrt()
+}
+
+/// Half the variance of the difference of runs that were meant to be alike.
+fn from_repeats(channel: BenchChannel, runs: &[Run]) -> Option<f64> {
+    let repeats: Vec<&[f64]> = runs
+        .iter()
+        .filter(|r| r.role == Role::Repeat)
+        .filter_map(|r| r.channel(channel))
+        .collect();
+    let (first, others) = repeats.split_first()?;
+    let mut sum = 0.0;
+    let mut count = 0;
+    for other in others {
+        let n = first.len().min(other.len());
+        let mean = (0..n).map(|k| first[k] - other[k]).sum::<f64>() / n as f64;
+        sum += (0..n).map(|k| (first[k] - other[k] - mean).powi(2)).sum::<f64>();
+        count += n;
+    }
+    (count > 0).then(|| (0.5 * sum / count as f64).sqrt())
+}

@@ -1,0 +1,325 @@
+//! The motion of a run as the equations need it: smoothed angle and speed on one clock, the sign of
+//! the motion averaged over each sample, and the other channels brought to the same moment.
+
+use super::bench::{Bench, BenchChannel, ControllerLaw};
+use super::filter::FilterBank;
+use super::recording::{self, Run};
+use std::collections::BTreeMap;
+
+/// Highest corner of the filters as a share of the sampling rate, and lowest corner [Hz] (assumed).
+const HIGHEST: f64 = 1.0 / 16.0;
+const LOWEST_HZ: f64 = 0.02;
+/// A sample is at rest below so many standard deviations of the smoothed speed.
+const AT_REST: f64 = 4.0;
+/// Share of the greatest speed that is never called motion (assumed).
+const CREEP: f64 = 1e-4;
+
+/// rms noise of each channel, one sample, SI at the motor.
+pub type NoiseTable = BTreeMap<BenchChannel, f64>;
+
+/// What is the same for all runs.
+#[derive(Clone, Debug)]
+pub struct Clock {
+    pub rate_hz: f64,
+    pub corner_hz: f64,
+    /// samples from one row to the next
+    pub stride: usize,
+    /// whether speed and acceleration come from the position rather than the velocity channel
+    pub from_position: bool,
+    /// standard deviation of the smoothed speed [rad/s]
+    pub speed_noise: f64,
+    /// smoothing of the speed [samples]
+    smooth: f64,
+    /// the moment all signals are brought to, before their time stamp [s]
+    shift_s: f64,
+}
+
+/// One run on the common clock, at the rate of the measurement.
+#[derive(Clone, Debug)]
+pub struct Signals {
+    pub n: usize,
+    pub rate_hz: f64,
+    pub start_s: f64,
+    /// smoothed angle [rad], speed [rad/s], acceleration [rad/s2]
+    pub theta: Vec<f64>,
+    pub omega: Vec<f64>,
+    pub accel: Vec<f64>,
+    /// mean over the sample of the sign of the motion
+    pub sign: Vec<f64>,
+    /// at rest, or turning round: the dry friction is not known
+    pub resting: Vec<bool>,
+    /// the drive channel as measured, on the common clock
+    pub drive: Vec<f64>,
+    /// its derivative, smoothed
+    pub drive_rate: Vec<f64>,
+    /// torque [N m], 0 where it is not measured
+    pub load: Vec<f64>,
+    pub has_load: bool,
+    /// smoothed [degC]
+    pub temperature: Option<Vec<f64>>,
+    pub voltage: Option<Vec<f64>>,
+    pub supply: Option<Vec<f64>>,
+    /// position as measured, and the user's times the gear ratio
+    pub position: Vec<f64>,
+    pub user: Option<Vec<f64>>,
+    pub velocity: Option<Vec<f64>>,
+    pub command: Option<Vec<f64>>,
+    /// the controller's law on the measured signals [drive unit], and where it is limited
+    pub law: Option<(Vec<f64>, Vec<bool>)>,
+    /// angle at the start [rad]
+    pub rest: f64,
+}
+
+/// Straight interpolation of `x` at `shift` samples later.
+pub fn shifted(x: &[f64], shift: f64) -> Vec<f64> {
+    if shift.abs() < 1e-9 {
+        return x.to_vec();
+    }
+    let last = x.len() - 1;
+    (0..x.len())
+        .map(|k| {
+            let at = (k as f64 + shift).clamp(0.0, last as f64);
+            let i = (at as usize).min(last - 1);
+            x[i] + (at - i as f64) * (x[i + 1] - x[i])
+        })
+        .collect()
+}
+
+impl Clock {
+    /// * `inertia` J [kg m2], `drive_constant` torque of a drive unit
+    pub fn new(bench: &Bench, runs: &[Run], noise: &NoiseTable) -> Self {
+        let rate_hz = runs[0].rate_hz;
+        let rig = &bench.rig;
+        let get = |c: BenchChannel| noise.get(&c).copied().unwrap_or(0.0);
+        let has = |c: BenchChannel| runs.iter().all(|r| r.channel(c).is_some());
+        let drive = rig.drive_constant.value * get(rig.drive);
+        let from_position = if has(BenchChannel::Position) && has(BenchChannel::Velocity) {
+            let bank = FilterBank::new(rate_hz * 0.04, rate_hz, 0.0);
+            let a = get(BenchChannel::Position) * bank.order[2].noise_gain();
+            let b = get(BenchChannel::Velocity) * bank.order[1].noise_gain();
+            a <= b
+        } else {
+            has(BenchChannel::Position)
+        };
+        // the highest corner at which the acceleration does not drown the drive signal
+        let mut corner_hz = HIGHEST * rate_hz;
+        while corner_hz > (0.004 * rate_hz).max(LOWEST_HZ) {
+            let bank = FilterBank::new(corner_hz, rate_hz, 0.0);
+            let a = if from_position {
+                get(BenchChannel::Position) * bank.order[2].noise_gain()
+            } else {
+                get(BenchChannel::Velocity) * bank.order[1].noise_gain()
+            };
+            if rig.inertia.value * a <= (drive * bank.order[0].noise_gain()).max(1e-300) {
+                break;
+            }
+            corner_hz *= 0.8;
+        }
+        let speed_noise_of = |sigma: f64| {
+            let bank = FilterBank::smoother(sigma, rate_hz, 0.0);
+            if from_position {
+                get(BenchChannel::Position) * bank.order[1].noise_gain()
+            } else {
+                get(BenchChannel::Velocity) * bank.order[0].noise_gain()
+            }
+        };
+        let fastest = runs
+            .iter()
+            .filter_map(|r| r.channel(BenchChannel::Position))
+            .flat_map(|x| x.windows(11).map(|w| (w[10] - w[0]).abs() * rate_hz * 0.1))
+            .fold(0.0, f64::max);
+        let mut smooth = 1.5;
+        while smooth < 5.0 && speed_noise_of(smooth) > 2e-4 * fastest {
+            smooth *= 1.3;
+        }
+        let stride = (rate_hz / (4.0 * corner_hz)).round().max(1.0) as usize;
+        let drive_spec = bench.channel(rig.drive).expect("checked when read");
+        Self {
+            rate_hz,
+            corner_hz,
+            stride,
+            from_position,
+            speed_noise: speed_noise_of(smooth).max(CREEP * fastest),
+            smooth,
+            shift_s: lateness(drive_spec.mean, rate_hz, drive_spec.delay_s),
+        }
+    }
+
+    /// The filters for a channel.
+    pub fn bank(&self, bench: &Bench, c: BenchChannel) -> FilterBank {
+        FilterBank::new(self.corner_hz, self.rate_hz, self.shift(bench, c))
+    }
+
+    /// The filters for signals that are on the common clock already.
+    pub fn common(&self) -> FilterBank {
+        FilterBank::new(self.corner_hz, self.rate_hz, 0.0)
+    }
+
+    /// How much later than the common moment a channel's value is written down [s].
+    fn shift(&self, bench: &Bench, c: BenchChannel) -> f64 {
+        let spec = bench.channel(c).expect("only asked for channels that are there");
+        lateness(spec.mean, self.rate_hz, spec.delay_s) - self.shift_s
+    }
+}
+
+fn lateness(mean: bool, rate_hz: f64, delay_s: f64) -> f64 {
+    delay_s + if mean { 0.5 / rate_hz } else { 0.0 }
+}
+
+impl Signals {
+    pub fn new(bench: &Bench, run: &Run, clock: &Clock) -> Self {
+        let rate_hz = clock.rate_hz;
+        let at = |c: BenchChannel| -> Option<Vec<f64>> {
+            run.channel(c).map(|x| shifted(x, clock.shift(bench, c) * rate_hz))
+        };
+        let smoother = |c: BenchChannel| FilterBank::smoother(clock.smooth, rate_hz, clock.shift(bench, c));
+        let (theta, omega, accel);
+        if let (Some(x), true) = (run.channel(BenchChannel::Position), clock.from_position) {
+            let s = smoother(BenchChannel::Position);
+            (theta, omega, accel) = (s.whole(0, x), s.whole(1, x), s.whole(2, x));
+        } else if let Some(w) = run.channel(BenchChannel::Velocity) {
+            let s = smoother(BenchChannel::Velocity);
+            (omega, accel) = (s.whole(0, w), s.whole(1, w));
+            theta = match run.channel(BenchChannel::Position) {
+                Some(x) => smoother(BenchChannel::Position).whole(0, x),
+                None => integral(&omega, rate_hz),
+            };
+        } else {
+            unreachable!("checked: position or velocity")
+        }
+        let position = at(BenchChannel::Position).unwrap_or_else(|| theta.clone());
+        let (sign, resting) = directions(&omega, AT_REST * clock.speed_noise);
+        let drive_channel = bench.rig.drive;
+        let raw = run.channel(drive_channel).expect("checked when read");
+        let s = smoother(drive_channel);
+        let command = at(BenchChannel::Command);
+        let law = command.as_ref().zip(bench.rig.controller.as_ref());
+        let user = at(BenchChannel::UserPosition);
+        let law = law.map(|(command, law)| {
+            let position = if law.on_user { user.as_ref().unwrap_or(&theta) } else { &theta };
+            let velocity = at(BenchChannel::Velocity).filter(|_| !law.differenced);
+            demanded(law, command, position, velocity.as_ref().unwrap_or(&omega), rate_hz)
+        });
+        let temperature = run.channel(BenchChannel::Temperature);
+        let temperature = temperature.map(|x| FilterBank::new(0.002 * rate_hz, rate_hz, 0.0).whole(0, x));
+        Self {
+            n: run.samples,
+            rate_hz,
+            start_s: run.start_s,
+            rest: theta[0],
+            theta,
+            omega,
+            accel,
+            sign,
+            resting,
+            drive: at(drive_channel).expect("checked when read"),
+            drive_rate: s.whole(1, raw),
+            has_load: run.channel(BenchChannel::Load).is_some(),
+            load: at(BenchChannel::Load).unwrap_or_else(|| vec![0.0; run.samples]),
+            temperature,
+            voltage: at(BenchChannel::Voltage),
+            supply: at(BenchChannel::VDc),
+            position,
+            user,
+            velocity: at(BenchChannel::Velocity),
+            command,
+            law,
+        }
+    }
+}
+
+/// The law's output, and where a limit acts on it.
+fn demanded(
+    law: &ControllerLaw,
+    command: &[f64],
+    position: &[f64],
+    omega: &[f64],
+    rate_hz: f64,
+) -> (Vec<f64>, Vec<bool>) {
+    let mut sum = 0.0;
+    let mut out = Vec::with_capacity(omega.len());
+    let mut limited = Vec::with_capacity(omega.len());
+    for k in 0..omega.len() {
+        let reference = law.position_gain * (command[k] - position[k]);
+        let reference = reference.clamp(-law.speed_limit, law.speed_limit);
+        let error = reference - omega[k];
+        let u = law.speed_gain * error + sum;
+        let over = u.abs() > 0.99 * law.drive_limit;
+        if !over {
+            sum += law.integral_gain * error / rate_hz;
+        }
+        out.push(u.clamp(-law.drive_limit, law.drive_limit));
+        limited.push(over);
+    }
+    (shifted(&out, -law.lag_s * rate_hz), limited)
+}
+
+fn integral(w: &[f64], rate_hz: f64) -> Vec<f64> {
+    let mut x = 0.0;
+    w.iter()
+        .map(|w| {
+            x += w / rate_hz;
+            x
+        })
+        .collect()
+}
+
+/// Mean sign of the motion over each sample, and where it rests. A passage through zero is placed
+/// between samples by a straight line.
+fn directions(omega: &[f64], threshold: f64) -> (Vec<f64>, Vec<bool>) {
+    let n = omega.len();
+    let mut sign = vec![0.0; n];
+    for k in 0..n {
+        let before = 0.5 * (omega[k] + omega[k.saturating_sub(1)]);
+        let after = 0.5 * (omega[k] + omega[(k + 1).min(n - 1)]);
+        sign[k] = if before * after < 0.0 {
+            (before.abs() * before.signum() + after.abs() * after.signum()) / (before.abs() + after.abs())
+        } else {
+            omega[k].signum()
+        };
+    }
+    // at rest: slower than the threshold for four samples or more
+    let mut resting = vec![false; n];
+    let mut k = 0;
+    while k < n {
+        let from = k;
+        while k < n && omega[k].abs() < threshold {
+            k += 1;
+        }
+        if k - from >= 4 {
+            resting[from..k].fill(true);
+        }
+        k = k.max(from) + 1;
+    }
+    // friction turns over somewhere within the sample of a reversal, and may hold for a while
+    for k in 1..n {
+        if omega[k] * omega[k - 1] <= 0.0 {
+            resting[k - 1] = true;
+            resting[k] = true;
+        }
+    }
+    (sign, resting)
+}
+
+/// The noise of every channel of a bench.
+pub fn noise_table(bench: &Bench, runs: &[Run]) -> NoiseTable {
+    let specs = bench.channels.iter().filter(|c| c.channel != BenchChannel::Time);
+    specs.map(|c| (c.channel, recording::noise(c, runs))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_passage_through_zero_is_placed_between_samples() {
+        let omega: Vec<f64> = (0..20).map(|k| k as f64 - 9.75).collect();
+        let (sign, resting) = directions(&omega, 0.1);
+        assert_eq!(sign[8], -1.0);
+        assert_eq!(sign[11], 1.0);
+        // zero at 9.75: the sample around 10 (9.5..10.5) is a quarter negative
+        assert!((sign[10] - 0.5).abs() < 1e-12, "{}", sign[10]);
+        let held: Vec<usize> = (0..20).filter(|&k| resting[k]).collect();
+        assert_eq!(held, [9, 10]);
+    }
+}
