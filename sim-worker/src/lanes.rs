@@ -288,8 +288,9 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             };
             (st.ia[l], st.ib[l]) = (i[0], i[1]);
             if F & term::EFFECTS != 0 {
-                fx.felt.supply[l] = inverter::supply_current(h, [i[0], i[1], -(i[0] + i[1])]);
-                sum.supply[l] += fx.felt.supply[l];
+                let supply = inverter::supply_current(h, [i[0], i[1], -(i[0] + i[1])]);
+                sum.supply[l] += supply;
+                fx.felt.supply[l] += fx.felt.bus * (supply - fx.felt.supply[l]);
                 // from here on the measured currents
                 let measured = |i: f64, fold: f64| {
                     fx.felt.gain[l] * i + commutation::phase_reference::<ONE>(fold, fx.felt.offset[l])

@@ -167,10 +167,7 @@ impl<const N: usize> NumericalTestBench<N> {
             Channel::TorqueM => mean(&sum.torque, &u.newton_metre),
             Channel::IQ => mean(&sum.iq, &u.ampere),
             Channel::ISupply => mean(&sum.supply, &u.ampere),
-            Channel::VDc => std::array::from_fn(|l| {
-                let source = self.effects.lane(l).map_or(0.0, |e| e.source);
-                self.supply_voltage_v[l] - source * (sum.supply[l] * (u.ampere[l] * per_step))
-            }),
+            Channel::VDc => std::array::from_fn(|l| self.supply_voltage_v[l] - self.effects.sag(l)),
         }
     }
 

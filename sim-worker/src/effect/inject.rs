@@ -42,6 +42,10 @@ const FEWEST_TURNS: f64 = 1e-3;
 /// Inertia behind a spring, at most this share of the whole.
 const MOST_BEHIND: f64 = 0.999;
 
+/// Time over which the bus's capacitor levels the supply current [s] (assumed); the source feels
+/// the mean of a switching period, not the switching.
+const BUS_S: f64 = 1e-4;
+
 impl Injection {
     /// None where the actuator has no effect that changes anything.
     ///
@@ -196,9 +200,12 @@ pub struct Felt<const N: usize> {
     pub agile: [f64; N],
     /// loss of each leg's voltage
     pub drop: [[f64; N]; 3],
-    /// half the voltage that a unit of supply current costs; supply current of the last step
+    /// half the voltage that a unit of supply current costs; mean of the supply current up to the
+    /// last step
     pub sag: [f64; N],
     pub supply: [f64; N],
+    /// weight of a step in that mean
+    pub bus: f64,
     /// measured current
     pub gain: [f64; N],
     pub offset: [f64; N],
@@ -238,6 +245,7 @@ impl<const N: usize> Default for LaneEffects<N> {
                 drop: [[0.0; N]; 3],
                 sag: [0.0; N],
                 supply: [0.0; N],
+                bus: 0.0,
                 gain: [ONE; N],
                 offset: [0.0; N],
                 more: [[ONE; N]; 3],
@@ -261,6 +269,7 @@ impl<const N: usize> LaneEffects<N> {
         let u = Units::new(p);
         let own = Injection::new(p, f.fsj, rest, load, p.step_s).filter(|_| Injection::needs_kernel(p));
         self.dt = p.step_s;
+        self.felt.bus = (p.step_s / BUS_S).min(1.0);
         self.units.push(u);
         if let Some(e) = &own {
             self.electrical |=
@@ -298,6 +307,12 @@ impl<const N: usize> LaneEffects<N> {
     /// The effects of a lane.
     pub fn lane(&self, l: usize) -> Option<&Injection> {
         self.lanes[l].as_ref()
+    }
+
+    /// Voltage that the source of lane `l` loses [V].
+    pub fn sag(&self, l: usize) -> f64 {
+        let supply = self.felt.supply[l] / self.units[l].ampere;
+        self.lanes[l].as_ref().map_or(0.0, |e| e.source * supply)
     }
 
     /// Delays the current references.

@@ -9,6 +9,8 @@ mod kind;
 mod state;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_physics;
 
 pub use equations::{
     COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, shape,

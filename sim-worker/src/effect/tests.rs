@@ -11,7 +11,7 @@ use std::sync::Arc;
 const REFERENCE: &str = include_str!("../../../datasets/parameters/reference.toml");
 
 /// A visible effect of each kind.
-fn visible(kind: EffectKind) -> Effect {
+pub(super) fn visible(kind: EffectKind) -> Effect {
     use EffectKind::*;
     let values: &[f64] = match kind {
         Stribeck => &[0.008, 20.0, 1.3],
@@ -44,7 +44,7 @@ fn visible(kind: EffectKind) -> Effect {
     Effect::new(kind, values)
 }
 
-fn with(effects: &[Effect]) -> Arc<ActuatorParameters> {
+pub(super) fn with(effects: &[Effect]) -> Arc<ActuatorParameters> {
     let mut p = ActuatorParameters::reference();
     p.effects = effects.to_vec();
     p.temperature_degc = -10.0;
@@ -65,7 +65,7 @@ fn all() -> ChannelSet {
 }
 
 /// A sine of 1 mrad user at 20 Hz, step by step.
-fn sine(steps: usize, dt: f64) -> Vec<f64> {
+pub(super) fn sine(steps: usize, dt: f64) -> Vec<f64> {
     (0..steps).map(|k| 0.001 * (TAU * 20.0 * k as f64 * dt).sin()).collect()
 }
 
