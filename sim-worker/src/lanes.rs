@@ -290,7 +290,8 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             if F & term::EFFECTS != 0 {
                 let supply = inverter::supply_current(h, [i[0], i[1], -(i[0] + i[1])]);
                 sum.supply[l] += supply;
-                fx.felt.supply[l] += fx.felt.bus * (supply - fx.felt.supply[l]);
+                let level = fx.felt.supply[l] + fx.felt.bus * (supply - fx.felt.supply[l]);
+                fx.felt.supply[l] = pick(level.abs() < GONE, 0.0, level);
                 // from here on the measured currents
                 let measured = |i: f64, fold: f64| {
                     fx.felt.gain[l] * i + commutation::phase_reference::<ONE>(fold, fx.felt.offset[l])
@@ -391,6 +392,9 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
     *sums = sum;
 }
 
+/// What decays below it is 0, long before it becomes subnormal.
+const GONE: f64 = 1e-100;
+
 /// What effects change of back-EMF, commutation and leg voltages. Lane by lane, apart from the
 /// loops over lanes: what a lane without effects computes there stays the same to the bit.
 #[inline(never)]
@@ -424,7 +428,6 @@ fn effects_on_torque<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut H
 /// they become subnormal (a standing rotor's common-mode rounding rest decays for ever).
 #[inline(always)]
 fn resync_body<const N: usize>(k: &Constants<N>, st: &mut State<N>) {
-    const GONE: f64 = 1e-100;
     for l in 0..N {
         let (s, c) = trig::sin_cos(k.th0[l] + (st.th[l] - st.moved[l]));
         (st.c[l], st.b[l]) = back_emf::eccentricity_vector(k.ke_zeta[l], s, c);

@@ -68,6 +68,7 @@ impl Constants {
 }
 
 /// `x^d`, quicker for the usual exponents of Stribeck's curve.
+#[inline]
 fn power(x: f64, d: f64) -> f64 {
     if d == 1.0 {
         x
@@ -79,6 +80,7 @@ fn power(x: f64, d: f64) -> f64 {
 }
 
 /// The same bits on every machine, see [`trig`].
+#[inline]
 fn cos(x: f64) -> f64 {
     trig::sin_cos(x).1
 }
@@ -122,6 +124,7 @@ pub fn commutation_share(theta: f64, error: f64, pole_pairs: f64) -> f64 {
 
 impl Effect {
     /// Friction level [N m] that it adds to the dry friction; times `sgn w` it is a torque.
+    #[inline]
     pub fn friction(&self, s: &Signals, c: &Constants) -> f64 {
         let [a, b, d] = self.values;
         match self.kind {
@@ -155,6 +158,7 @@ impl Effect {
 
     /// Torque that the motor must give in addition [N m]; effects with a state of their own
     /// (presliding, compliance, backlash) are not here.
+    #[inline]
     pub fn torque(&self, s: &Signals, c: &Constants) -> f64 {
         let [a, b, d] = self.values;
         match self.kind {
@@ -194,10 +198,10 @@ impl Effect {
         }
     }
 
-    /// What is left of a phase's torque at its current `i` [A].
+    /// What is left of a phase's torque at its current `i` [A]; it does not turn its sign.
     pub fn saturation(&self, i: f64) -> f64 {
         match self.kind {
-            EffectKind::TorqueSaturation => 1.0 - self.values[0] * i.abs(),
+            EffectKind::TorqueSaturation => (1.0 - self.values[0] * i.abs()).max(0.0),
             _ => 1.0,
         }
     }

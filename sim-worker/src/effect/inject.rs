@@ -128,11 +128,13 @@ impl Injection {
     }
 
     /// Friction level to be added [N m], below 0 where it is taken away.
+    #[inline]
     pub fn friction(&self, s: &Signals) -> f64 {
         self.friction.iter().map(|e| e.friction(s, &self.constants)).sum()
     }
 
     /// Torque against the motor [N m], but for friction and what acts on the torque constant.
+    #[inline]
     pub fn torque(&self, s: &Signals) -> f64 {
         self.torque.iter().map(|e| e.torque(s, &self.constants)).sum()
     }
@@ -385,19 +387,16 @@ impl<const N: usize> LaneEffects<N> {
         }
         let Some(e) = &mut self.lanes[l] else { return };
         let u = &self.units[l];
-        let s = Signals {
-            theta: e.signals.rest + th,
-            omega: turn / u.rad_per_s,
-            ..e.signals
-        };
-        let friction = e.friction(&s);
-        let mut torque = e.torque(&s);
+        e.signals.theta = e.signals.rest + th;
+        e.signals.omega = turn / u.rad_per_s;
+        let s = &e.signals;
+        let (omega, friction, mut torque) = (s.omega, e.friction(s), e.torque(s));
         if let Some(b) = &mut e.bristles {
             b.level = (fd / u.newton_metre + friction).max(0.0);
-            torque += b.step(s.omega, self.dt);
+            torque += b.step(omega, self.dt);
         }
         if let Some(b) = &e.behind {
-            torque += b.torque(th, s.omega, self.dt);
+            torque += b.torque(th, omega, self.dt);
             self.felt.th[l] = th;
         }
         self.felt.friction[l] = friction * u.newton_metre;

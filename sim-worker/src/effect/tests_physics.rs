@@ -402,3 +402,64 @@ fn prop_the_simplified_model_follows_the_bench_with_every_effect() {
         }
     }
 }
+
+#[test]
+fn prop_extreme_effects_stay_finite() {
+    use EffectKind::*;
+    let com: Vec<f64> = (0..30_000).map(|k| if k < 15_000 { 0.1 } else { -0.001 }).collect();
+    for (kind, values) in [
+        (Stribeck, &[10.0, 1e-9, 3.0][..]),
+        (LubricatedRise, &[10.0, 1e-9]),
+        (TemperatureDependentFriction, &[-10.0]),
+        (PeriodicFriction, &[1.0, 6.0, 1000.0]),
+        (TightSpot, &[10.0, 0.3, 1e-9]),
+        (Presliding, &[1e-9, 0.0]),
+        (Presliding, &[1e12, 1e3]),
+        (Cogging, &[3.0, -6.0, 1000.0]),
+        (TorqueRipple, &[1.0, 0.0, 1000.0]),
+        (Eccentricity, &[1.0, 6.0]),
+        (TorqueSaturation, &[1.0]),
+        (SpringLoad, &[1e3]),
+        (Compliance, &[1e9, 0.0, 2.49e-5]),
+        (Compliance, &[1e-9, 1e3, 1e-15]),
+        (Backlash, &[100.0]),
+        (WindingHeating, &[300.0]),
+        (SupplySag, &[1e6]),
+        (DeadTime, &[1e3]),
+        (TurnShort, &[1.0, 2.0]),
+        (CommutationOffset, &[1.6]),
+        (EncoderEccentricity, &[1.0, 6.0]),
+        (CurrentOffset, &[-100.0]),
+        (CurrentGain, &[-0.9]),
+        (CurrentGain, &[9.0]),
+        (ControlDelay, &[1.0]),
+    ] {
+        let p = with(&[Effect::new(kind, values)]);
+        let r = record(&p, &com);
+        let worst = |x: &[f64]| {
+            x.iter()
+                .fold(0.0_f64, |m, x| if x.is_finite() { m.max(x.abs()) } else { f64::NAN })
+        };
+        let (w, i, user) = (worst(&r.omega), worst(&r.iq), worst(&r.user));
+        let mut m = MonitorModel::new(&p, 1e-4).at_rest_angle(REST);
+        let (mut fastest, mut most) = (0.0_f64, 0.0_f64);
+        for c in com.chunks(100).chain(com.chunks(100)) {
+            m.step(c[0]);
+            assert!(
+                m.w.is_finite() && m.i.is_finite() && m.user_angle_rad().is_finite(),
+                "{}",
+                kind.name()
+            );
+            (fastest, most) = (fastest.max(m.w.abs()), most.max(m.i.abs()));
+        }
+        println!(
+            "{:32}{values:?} bench {w:.1} rad/s {i:.1} A {user:.2} rad, model {fastest:.1} rad/s {most:.1} A",
+            kind.name()
+        );
+        assert!(
+            w.is_finite() && i.is_finite() && user <= 1.2001,
+            "{} {w} {i} {user}",
+            kind.name()
+        );
+    }
+}
