@@ -34,6 +34,19 @@ pub fn read(path: &Path) -> Result<Section> {
     parse(&path.display().to_string(), &text)
 }
 
+/// A text as TOML writes it, on one line; also a key.
+pub fn quoted(text: &str) -> String {
+    let mut out = String::from("\"");
+    for c in text.chars() {
+        match c {
+            '"' | '\\' => out.extend(['\\', c]),
+            c if c.is_control() => out += &format!("\\u{:04X}", c as u32),
+            c => out.push(c),
+        }
+    }
+    out + "\""
+}
+
 fn show(v: &Value) -> String {
     let s = v.to_string();
     if s.len() > 60 {
@@ -73,6 +86,12 @@ impl Section {
 
     pub fn has(&self, key: &str) -> bool {
         self.table.contains_key(key)
+    }
+
+    /// As [`Section::has`], for a key that need not be there and is listed as known.
+    pub fn may_have(&mut self, key: &str) -> bool {
+        self.known.push(key.into());
+        self.has(key)
     }
 
     /// A number, or a table `{ value, source, unit }`; also its source.
@@ -119,6 +138,52 @@ impl Section {
             Some(v) => Err(self.bad(key, show(&v), allowed)),
             None => Err(self.bad(key, "nothing", allowed)),
         }
+    }
+
+    /// A number, or a table `{ value, lo, hi, unit, source }`, whose unit must be `unit` where it is
+    /// given; also the interval from `lo` to `hi`.
+    pub fn estimate(
+        &mut self,
+        key: &str,
+        unit: &str,
+        ok: impl Fn(f64) -> bool,
+        allowed: &str,
+    ) -> Result<(f64, Option<(f64, f64)>)> {
+        let Some(Value::Table(t)) = self.table.get(key) else {
+            return self.number(key, ok, allowed).map(|x| (x, None));
+        };
+        let mut t = Section {
+            file: self.file.clone(),
+            path: self.place(key).trim_start_matches("key `").trim_end_matches('`').into(),
+            table: t.clone(),
+            known: Vec::new(),
+        };
+        self.take(key);
+        let x = t.number("value", ok, allowed)?;
+        let interval = if t.has("lo") || t.has("hi") {
+            let lo = t.number("lo", |y| y <= x, &format!("a finite number of at most the value {x}"))?;
+            let hi = t.number("hi", |y| y >= x, &format!("a finite number of at least the value {x}"))?;
+            Some((lo, hi))
+        } else {
+            t.known.extend(["lo".into(), "hi".into()]);
+            None
+        };
+        let found = t.text_or("unit", unit)?;
+        if found != unit {
+            return Err(t.bad("unit", found, unit));
+        }
+        t.text_or("source", "")?;
+        t.finish()?;
+        Ok((x, interval))
+    }
+
+    /// Keys that were not read yet, in the order of the alphabet.
+    pub fn keys(&self) -> Vec<String> {
+        self.table.keys().cloned().collect()
+    }
+
+    pub fn is_text(&self, key: &str) -> bool {
+        self.table.get(key).is_some_and(Value::is_str)
     }
 
     pub fn text_or(&mut self, key: &str, default: &str) -> Result<String> {

@@ -5,7 +5,8 @@
 //! Lane count, grouping and instruction set never change a bit: every lane does the same
 //! IEEE operations in the same order, and nothing is contracted to fused multiply-adds.
 
-use crate::control::{commutation, hysteresis, position, speed};
+use crate::control::{commutation, hysteresis, pick, position, speed};
+use crate::effect::{EffectKind, LaneEffects};
 use crate::parameters::ActuatorParameters;
 use crate::plant::{back_emf, backlash, end_stop, friction, inverter, mechanics, torque, windings};
 use crate::trig;
@@ -23,6 +24,8 @@ pub mod term {
     pub const LOAD: u32 = 2;
     /// Sums of the additional channels (voltages, supply current, torque, i_q).
     pub const EXTRA: u32 = 4;
+    /// Effects beyond the paper's; needs the others.
+    pub const EFFECTS: u32 = 8;
 }
 
 macro_rules! lane_struct {
@@ -96,6 +99,8 @@ lane_struct!(
         load, opposing, aiding,
         /// rotor angle at rest [rad]
         th0,
+        /// `ke zeta` of eccentricity a quarter of a turn ahead of the fault's
+        ke_ahead,
     }
 );
 
@@ -136,6 +141,21 @@ impl<const N: usize> Constants<N> {
         let kt = 2.0 * p.back_emf_v_s_per_rad;
         let flanks = 6.0 * p.pole_pairs as f64 / std::f64::consts::PI;
         let fs = f.fsj * p.static_friction_n_m;
+        // the effects that are constants; adding 0 or multiplying by 1 changes no bit
+        let (mut zeta, mut ahead) = (if p.pole_pairs > 1 { f.zeta } else { 0.0 }, 0.0);
+        let (mut resistance, mut play) = (p.phase_resistance_ohm, 0.0);
+        for e in p.effects.iter().filter(|e| e.is_present()) {
+            resistance *= e.resistance_factor();
+            match e.kind {
+                EffectKind::Eccentricity => {
+                    let (sin, cos) = trig::sin_cos(e.values[1]);
+                    zeta += e.values[0] * cos;
+                    ahead += e.values[0] * sin;
+                }
+                EffectKind::Backlash => play += 0.5 * e.values[0],
+                _ => {}
+            }
+        }
         self.gap[l] = p.position_gain_per_s / p.gear_ratio * u.rad_per_s;
         self.w_max[l] = p.speed_reference_limit_rad_per_s * u.rad_per_s;
         self.w_min[l] = -self.w_max[l];
@@ -147,17 +167,18 @@ impl<const N: usize> Constants<N> {
         self.x_min[l] = -self.x_max[l];
         self.flanks[l] = flanks;
         self.ke[l] = p.back_emf_v_s_per_rad * u.volt_second;
-        self.ke_zeta[l] = if p.pole_pairs > 1 { self.ke[l] * f.zeta } else { 0.0 };
+        self.ke_zeta[l] = self.ke[l] * zeta;
+        self.ke_ahead[l] = self.ke[l] * ahead;
         self.hb[l] = p.hysteresis_half_band_a * u.ampere;
         self.volts[l] = 0.5 * p.supply_voltage_v * u.volt;
-        self.decay[l] = 1.0 - p.phase_resistance_ohm * p.step_s / p.phase_inductance_h;
+        self.decay[l] = 1.0 - resistance * p.step_s / p.phase_inductance_h;
         self.t_max[l] = p.torque_limit_n_m * u.newton_metre;
         self.t_min[l] = -self.t_max[l];
         self.viscous[l] = p.viscous_n_m_s_per_rad * u.newton_metre / u.rad_per_s;
         self.fs[l] = fs * u.newton_metre;
         self.fd[l] = fs * p.dynamic_friction_ratio * u.newton_metre;
         self.n[l] = p.gear_ratio;
-        self.gap_half[l] = p.backlash_half_width_rad * p.gear_ratio;
+        self.gap_half[l] = p.backlash_half_width_rad * p.gear_ratio + play;
         self.stop[l] = p.end_stop_rad * p.gear_ratio;
         self.load[l] = load_n_m * u.newton_metre;
         self.opposing[l] = 1.0 / p.opposing_efficiency - 1.0;
@@ -186,6 +207,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
     k: &Constants<N>,
     state: &mut State<N>,
     sums: &mut Sums<N>,
+    fx: &mut LaneEffects<N>,
     com: &[f64],
 ) {
     let mut on = Handed::<N>::default();
@@ -212,6 +234,9 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             };
             (on.i_ref[l], st.x[l]) = speed::current_reference::<ONE>(&gains, w_ref - st.turn[l], st.x[l]);
         }
+        if F & term::EFFECTS != 0 {
+            fx.delay(&mut on.i_ref);
+        }
         // electrical angle and back-EMF coefficients
         for l in 0..N {
             let moved = if F & term::STOPS != 0 { st.moved[l] } else { st.turn[l] };
@@ -222,6 +247,9 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             let coefficient = |q: usize| back_emf::coefficient::<ONE>(fold[q], gain[q]);
             (on.f0[l], on.f1[l], on.f2[l]) = (fold[0], fold[1], fold[2]);
             (on.k0[l], on.k1[l], on.k2[l]) = (coefficient(0), coefficient(1), coefficient(2));
+        }
+        if F & term::EFFECTS != 0 {
+            effects_on_angles(k, &st, &mut on, fx);
         }
         // current control, bridge and windings; the third current is minus the sum of the others
         for l in 0..N {
@@ -244,10 +272,34 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 inverter::leg_voltage(h[2], k.volts[at::<SAME>(l)]),
             ];
             let ke = [on.k0[l], on.k1[l], on.k2[l]];
-            let i = windings::step([ia, ib], v, ke, st.turn[l], k.decay[at::<SAME>(l)]);
+            let mut i = if F & term::EFFECTS != 0 {
+                let felt = &fx.felt;
+                let volts = k.volts[at::<SAME>(l)] - felt.sag[l] * felt.supply[l];
+                let volts = if volts > 0.0 { volts } else { 0.0 };
+                let leg = |q: usize| inverter::leg_voltage(h[q], volts) - felt.drop[q][l];
+                let (v, decay) = ([leg(0), leg(1), leg(2)], k.decay[at::<SAME>(l)]);
+                let i = windings::step([ia, ib], v, ke, st.turn[l], decay);
+                let more = [felt.more[0][l], felt.more[1][l], felt.more[2][l]];
+                let uneven = windings::uneven_step([ia, ib], v, ke, st.turn[l], decay, more, felt.even[l]);
+                let even = felt.even[l] == 0.0;
+                [pick(even, i[0], uneven[0]), pick(even, i[1], uneven[1])]
+            } else {
+                windings::step([ia, ib], v, ke, st.turn[l], k.decay[at::<SAME>(l)])
+            };
+            (st.ia[l], st.ib[l]) = (i[0], i[1]);
+            if F & term::EFFECTS != 0 {
+                let supply = inverter::supply_current(h, [i[0], i[1], -(i[0] + i[1])]);
+                sum.supply[l] += supply;
+                let level = fx.felt.supply[l] + fx.felt.bus * (supply - fx.felt.supply[l]);
+                fx.felt.supply[l] = pick(level.abs() < GONE, 0.0, level);
+                // from here on the measured currents
+                let measured = |i: f64, fold: f64| {
+                    fx.felt.gain[l] * i + commutation::phase_reference::<ONE>(fold, fx.felt.offset[l])
+                };
+                i = [measured(i[0], on.f0[l]), measured(i[1], on.f1[l])];
+            }
             let minus_ic = i[0] + i[1];
             (st.ma[l], st.mb[l], st.mc[l]) = (h[0] - i[0], h[1] - i[1], h[2] + minus_ic);
-            (st.ia[l], st.ib[l]) = (i[0], i[1]);
             sum.ia[l] += i[0];
             sum.ib[l] += i[1];
             sum.abs[l] += i[0].abs() + i[1].abs() + minus_ic.abs();
@@ -257,10 +309,15 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 sum.va[l] += v[0] - n;
                 sum.vb[l] += v[1] - n;
                 sum.vc[l] += v[2] - n;
-                sum.supply[l] += inverter::supply_current(h, [i[0], i[1], ic]);
+                if F & term::EFFECTS == 0 {
+                    sum.supply[l] += inverter::supply_current(h, [i[0], i[1], ic]);
+                }
                 let half_shape = |fold: f64| back_emf::coefficient::<false>(fold, 0.5);
                 sum.iq[l] += half_shape(on.f0[l]) * i[0] + half_shape(on.f1[l]) * i[1] + half_shape(on.f2[l]) * ic;
             }
+        }
+        if F & term::EFFECTS != 0 {
+            effects_on_torque(k, &st, &mut on, fx);
         }
         // torque and mechanics
         for l in 0..N {
@@ -272,7 +329,10 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 k.t_max[at::<SAME>(l)],
             );
             let (drive, fs, fd) = if F & term::LOAD != 0 {
-                let drive = tm - k.load[at::<SAME>(l)];
+                let mut drive = tm - k.load[at::<SAME>(l)];
+                if F & term::EFFECTS != 0 {
+                    drive -= fx.felt.torque[l];
+                }
                 let direction = if w == 0.0 { drive } else { w };
                 let (fs, fd) = friction::with_load(
                     k.fs[l],
@@ -282,14 +342,27 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                     k.opposing[at::<SAME>(l)],
                     k.aiding[at::<SAME>(l)],
                 );
-                (drive, fs, fd)
+                if F & term::EFFECTS != 0 {
+                    let felt = |level: f64| {
+                        let sum = level + fx.felt.friction[l];
+                        fx.felt.dry[l] * if sum > 0.0 { sum } else { 0.0 }
+                    };
+                    (drive, felt(fs), felt(fd))
+                } else {
+                    (drive, fs, fd)
+                }
             } else {
                 (tm, k.fs[l], k.fd[l])
             };
-            let mut turn = mechanics::speed::<ONE>(
-                w,
-                friction::net_torque::<ONE>(drive, k.viscous[at::<SAME>(l)] * w, w, fs, fd),
-            );
+            let mut net = friction::net_torque::<ONE>(drive, k.viscous[at::<SAME>(l)] * w, w, fs, fd);
+            if F & term::EFFECTS != 0 {
+                net *= fx.felt.agile[l];
+            }
+            let mut turn = mechanics::speed::<ONE>(w, net);
+            if F & term::EFFECTS != 0 {
+                // nothing but dry friction stops a rotor dead
+                turn = pick(fx.felt.dry[l] == 0.0, w + net, turn);
+            }
             let mut th = st.th[l] + turn;
             if F & term::STOPS != 0 {
                 let (th1, turn1) = end_stop::stop(th, turn, k.stop[at::<SAME>(l)]);
@@ -298,9 +371,17 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             }
             st.th[l] = th;
             st.turn[l] = turn;
-            st.th_u[l] = backlash::play::<ONE>(st.th_u[l], th, k.gap_half[at::<SAME>(l)]);
+            if F & term::EFFECTS == 0 {
+                st.th_u[l] = backlash::play::<ONE>(st.th_u[l], th, k.gap_half[at::<SAME>(l)]);
+            }
             if F & term::EXTRA != 0 {
                 sum.torque[l] += tm;
+            }
+        }
+        if F & term::EFFECTS != 0 {
+            for l in 0..N {
+                let u = fx.user(l, st.th[l], st.moved[l]);
+                st.th_u[l] = backlash::play::<ONE>(st.th_u[l], u, k.gap_half[at::<SAME>(l)]);
             }
         }
     }
@@ -311,14 +392,47 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
     *sums = sum;
 }
 
+/// What decays below it is 0, long before it becomes subnormal.
+const GONE: f64 = 1e-100;
+
+/// What effects change of back-EMF, commutation and leg voltages. Lane by lane, apart from the
+/// loops over lanes: what a lane without effects computes there stays the same to the bit.
+#[inline(never)]
+fn effects_on_angles<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut Handed<N>, fx: &mut LaneEffects<N>) {
+    for l in 0..N {
+        let coefficients = [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]];
+        if let Some(error) = fx.electrical(l, k.th0[l] + st.th[l], coefficients) {
+            let r = st.r[l] + error;
+            [on.f0[l], on.f1[l], on.f2[l]] = back_emf::fold(r - 12.0 * trig::nearest(r * (1.0 / 12.0)));
+        }
+    }
+    if fx.has_dead_time() {
+        for l in 0..N {
+            let conducts = [on.f0[l], on.f1[l], on.f2[l]].map(|f| f.abs() >= 1.0);
+            fx.drops(l, conducts, [st.ia[l], st.ib[l], -(st.ia[l] + st.ib[l])]);
+        }
+    }
+}
+
+/// What effects change of the torques.
+#[inline(never)]
+fn effects_on_torque<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut Handed<N>, fx: &mut LaneEffects<N>) {
+    for l in 0..N {
+        let i = [st.ia[l], st.ib[l], -(st.ia[l] + st.ib[l])];
+        fx.saturate(l, i, [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]]);
+        fx.mechanical(l, st.th[l], st.turn[l], k.fd[l]);
+    }
+}
+
 /// Starts the eccentricity vector anew from the rotor angle and clears decayed currents before
 /// they become subnormal (a standing rotor's common-mode rounding rest decays for ever).
 #[inline(always)]
 fn resync_body<const N: usize>(k: &Constants<N>, st: &mut State<N>) {
-    const GONE: f64 = 1e-100;
     for l in 0..N {
         let (s, c) = trig::sin_cos(k.th0[l] + (st.th[l] - st.moved[l]));
         (st.c[l], st.b[l]) = back_emf::eccentricity_vector(k.ke_zeta[l], s, c);
+        let ahead = back_emf::eccentricity_vector(k.ke_ahead[l], c, -s);
+        (st.c[l], st.b[l]) = (st.c[l] + ahead.0, st.b[l] + ahead.1);
         let r = ((k.th0[l] + (st.th[l] - st.moved[l])) * k.flanks[l]) - 3.0;
         st.r[l] = r - 12.0 * trig::nearest(r * (1.0 / 12.0));
         let keep = |x: f64| if x.abs() < GONE { 0.0 } else { x };
@@ -387,9 +501,10 @@ mod x86 {
         k: &Constants<N>,
         st: &mut State<N>,
         sum: &mut Sums<N>,
+        fx: &mut LaneEffects<N>,
         com: &[f64],
     ) {
-        steps_body::<N, F, SAME, ONE>(k, st, sum, com);
+        steps_body::<N, F, SAME, ONE>(k, st, sum, fx, com);
     }
 
     #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
@@ -397,9 +512,10 @@ mod x86 {
         k: &Constants<N>,
         st: &mut State<N>,
         sum: &mut Sums<N>,
+        fx: &mut LaneEffects<N>,
         com: &[f64],
     ) {
-        steps_body::<N, F, SAME, ONE>(k, st, sum, com);
+        steps_body::<N, F, SAME, ONE>(k, st, sum, fx, com);
     }
 
     #[target_feature(enable = "avx2")]
@@ -443,16 +559,17 @@ fn steps_on<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
     k: &Constants<N>,
     st: &mut State<N>,
     sum: &mut Sums<N>,
+    fx: &mut LaneEffects<N>,
     com: &[f64],
 ) {
     match set {
-        InstructionSet::Baseline => steps_body::<N, F, SAME, ONE>(k, st, sum, com),
+        InstructionSet::Baseline => steps_body::<N, F, SAME, ONE>(k, st, sum, fx, com),
         // SAFETY: `InstructionSet::available` lists a set only where the processor has it, and
         // `NumericalTestBench` takes no other.
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx2 => unsafe { x86::steps_avx2::<N, F, SAME, ONE>(k, st, sum, com) },
+        InstructionSet::Avx2 => unsafe { x86::steps_avx2::<N, F, SAME, ONE>(k, st, sum, fx, com) },
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx512 => unsafe { x86::steps_avx512::<N, F, SAME, ONE>(k, st, sum, com) },
+        InstructionSet::Avx512 => unsafe { x86::steps_avx512::<N, F, SAME, ONE>(k, st, sum, fx, com) },
     }
 }
 
@@ -464,14 +581,15 @@ pub fn steps<const N: usize, const F: u32>(
     k: &Constants<N>,
     st: &mut State<N>,
     sum: &mut Sums<N>,
+    fx: &mut LaneEffects<N>,
     com: &[f64],
 ) {
     if N == 1 {
-        steps_on::<N, F, true, true>(set, k, st, sum, com);
+        steps_on::<N, F, true, true>(set, k, st, sum, fx, com);
     } else if same {
-        steps_on::<N, F, true, false>(set, k, st, sum, com);
+        steps_on::<N, F, true, false>(set, k, st, sum, fx, com);
     } else {
-        steps_on::<N, F, false, false>(set, k, st, sum, com);
+        steps_on::<N, F, false, false>(set, k, st, sum, fx, com);
     }
 }
 

@@ -8,11 +8,15 @@
 //! of plus and minus FD. Sliding is then exact and without chatter, and the step may be far
 //! longer than a switching period.
 
+mod with_effects;
+
 use crate::command::CommandTrack;
 use crate::control;
+use crate::effect::{Effect, EffectKind};
 use crate::parameters::ActuatorParameters;
 use crate::plant::{backlash, end_stop};
 use schemas::sequence::TestSequence;
+use with_effects::Effects;
 
 /// Longest step of the model [s].
 pub const STEP_S: f64 = 100e-6;
@@ -45,7 +49,8 @@ pub struct MonitorModel {
     n: f64,
     stop: f64,
     b: f64,
-    /// motor current [A]
+    effects: Option<Box<Effects>>,
+    /// motor current [A], as measured where effects tell the two apart
     pub i: f64,
     /// motor speed [rad/s]
     pub w: f64,
@@ -66,7 +71,11 @@ impl MonitorModel {
         let inv_inertia = 1.0 / (j_dt + p.viscous_n_m_s_per_rad);
         // two phases in series
         let l_dt = 2.0 * p.phase_inductance_h / dt;
-        let impedance = l_dt + 2.0 * p.phase_resistance_ohm;
+        // the effects that are constants; multiplying by 1 and adding 0 changes no bit
+        let present = || p.effects.iter().filter(|e| e.is_present());
+        let heat: f64 = present().map(Effect::resistance_factor).product();
+        let gaps = present().filter(|e| e.kind == EffectKind::Backlash);
+        let impedance = l_dt + 2.0 * p.phase_resistance_ohm * heat;
         Self {
             dt,
             gap: p.position_gain_per_s / p.gear_ratio,
@@ -85,13 +94,29 @@ impl MonitorModel {
             fd: p.static_friction_n_m * p.dynamic_friction_ratio,
             n: p.gear_ratio,
             stop: p.end_stop_rad * p.gear_ratio,
-            b: p.backlash_half_width_rad * p.gear_ratio,
+            b: gaps.fold(p.backlash_half_width_rad * p.gear_ratio, |b, e| b + 0.5 * e.values[0]),
+            effects: Effects::new(p, dt, impedance).map(Box::new),
             i: 0.0,
             w: 0.0,
             th: 0.0,
             th_u: 0.0,
             torque: 0.0,
         }
+    }
+
+    /// The same with the rotor at rest at the angle `rest` [rad], which only effects feel.
+    pub fn at_rest_angle(mut self, rest: f64) -> Self {
+        if let Some(e) = &mut self.effects {
+            e.rest_at(rest);
+        }
+        self
+    }
+
+    /// Measured motor angle from rest [rad].
+    pub fn motor_angle_rad(&self) -> f64 {
+        self.effects
+            .as_ref()
+            .map_or(self.th, |e| self.th + e.angle_error(self.th))
     }
 
     /// User angle [rad].
@@ -102,6 +127,34 @@ impl MonitorModel {
     /// One step under the command `com` [rad].
     #[inline]
     pub fn step(&mut self, com: f64) {
+        if self.effects.is_some() {
+            self.step_with_effects(com);
+        } else {
+            self.step_without_effects(com);
+        }
+    }
+
+    /// Steps through `com`; sums of |current| and torque. The choice stands outside of the loop,
+    /// so that a model without effects lives in registers.
+    fn steps(&mut self, com: &[f64]) -> (f64, f64) {
+        let mut sums = (0.0, 0.0);
+        let mut add = |m: &Self| sums = (sums.0 + m.i.abs(), sums.1 + m.torque);
+        if self.effects.is_some() {
+            for &c in com {
+                self.step_with_effects(c);
+                add(self);
+            }
+        } else {
+            for &c in com {
+                self.step_without_effects(c);
+                add(self);
+            }
+        }
+        sums
+    }
+
+    #[inline(always)]
+    fn step_without_effects(&mut self, com: f64) {
         let w_ref = limit(self.gap * (com * self.n - self.th_u), -self.w_max, self.w_max);
         // currents at the step's end within reach of +-Vs (Eq. 9, 10; back-EMF of the step's start)
         let free = self.keep * self.i - self.emf * self.w;
@@ -158,24 +211,24 @@ impl MonitorTrack {
     /// * `rate_hz` telemetry rate; the model makes a whole number of steps of at most [`STEP_S`]
     ///   in each interval
     pub fn run(p: &ActuatorParameters, sequence: &TestSequence, rate_hz: f64) -> Self {
+        Self::run_at(p, sequence, rate_hz, 0.0)
+    }
+
+    /// As [`MonitorTrack::run`] with the rotor at rest at the angle `rest` [rad].
+    pub fn run_at(p: &ActuatorParameters, sequence: &TestSequence, rate_hz: f64, rest: f64) -> Self {
         let rows = (sequence.duration_s() * rate_hz + 1e-6).floor() as usize;
         let steps = (1.0 / (rate_hz * STEP_S) - 1e-9).ceil().max(1.0) as usize;
         let dt = 1.0 / (rate_hz * steps as f64);
         let track = CommandTrack::new(sequence, dt);
         let mut com = vec![0.0; rows * steps];
         track.fill(0, &mut com);
-        let mut m = MonitorModel::new(p, dt);
+        let mut m = MonitorModel::new(p, dt).at_rest_angle(rest);
         let mut out = Self::default();
         for interval in com.chunks(steps) {
-            let (mut abs, mut torque) = (0.0, 0.0);
-            for &c in interval {
-                m.step(c);
-                abs += m.i.abs();
-                torque += m.torque;
-            }
+            let (abs, torque) = m.steps(interval);
             out.com_rad.push(interval[steps - 1]);
             out.theta_u_rad.push(m.user_angle_rad());
-            out.theta_m_rad.push(m.th);
+            out.theta_m_rad.push(m.motor_angle_rad());
             out.omega_rad_per_s.push(m.w);
             out.abs_current_a.push(abs / steps as f64);
             out.torque_n_m.push(torque / steps as f64);

@@ -1,5 +1,6 @@
 //! Actuator parameters: TOML in, checked values out.
 
+use crate::effect::{self, Effect, REFERENCE_TEMPERATURE_DEGC};
 use schemas::error::Result;
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::toml_section::{self, Section};
@@ -57,6 +58,10 @@ pub struct ActuatorParameters {
     pub hysteresis_half_band_a: f64,
     /// dt of the numerical test bench
     pub step_s: f64,
+    /// of friction and surroundings [degC]
+    pub temperature_degc: f64,
+    /// physical effects beyond the paper's, at most [`effect::MOST`]
+    pub effects: Vec<Effect>,
     /// keys whose value is assumed rather than sourced
     pub assumed: Vec<String>,
     /// keys whose value was identified from measurements
@@ -66,13 +71,16 @@ pub struct ActuatorParameters {
 impl ActuatorParameters {
     /// The reference actuator of `datasets/parameters/reference.toml`.
     pub fn reference() -> Self {
-        let s = toml_section::parse("datasets/parameters/reference.toml", REFERENCE);
-        s.and_then(Self::from_section)
-            .expect("the built-in parameters are valid")
+        Self::parse("datasets/parameters/reference.toml", REFERENCE).expect("the built-in parameters are valid")
     }
 
     pub fn read(path: &Path) -> Result<Self> {
         Self::from_section(toml_section::read(path)?)
+    }
+
+    /// Parses the text of a file.
+    pub fn parse(file: &str, text: &str) -> Result<Self> {
+        Self::from_section(toml_section::parse(file, text)?)
     }
 
     fn from_section(mut s: Section) -> Result<Self> {
@@ -141,6 +149,17 @@ impl ActuatorParameters {
         let allowed = format!("above 0, at most a tenth of L/R = {electrical:.3e} s and at most 1e-4 s");
         let step_s = t.number("step_s", |x| x > 0.0 && x <= 0.1 * electrical && x <= 1e-4, &allowed)?;
         t.finish()?;
+
+        let temperature_degc = if s.may_have("environment") {
+            let mut t = s.section("environment")?;
+            let air = |x: f64| (-100.0..=300.0).contains(&x);
+            let x = t.number_or("temperature_degc", REFERENCE_TEMPERATURE_DEGC, air, "-100 to 300 degC")?;
+            t.finish()?;
+            x
+        } else {
+            REFERENCE_TEMPERATURE_DEGC
+        };
+        let effects = effect::read(&mut s, inertia_kg_m2)?;
         s.finish()?;
         Ok(Self {
             name,
@@ -167,6 +186,8 @@ impl ActuatorParameters {
             current_limit_a,
             hysteresis_half_band_a,
             step_s,
+            temperature_degc,
+            effects,
             assumed,
             identified,
         })
@@ -177,7 +198,8 @@ impl ActuatorParameters {
         2.0 * self.back_emf_v_s_per_rad
     }
 
-    /// Of every value, not of the name.
+    /// Of every value, not of the name; an actuator without effects has the one that it had before
+    /// effects were known.
     pub fn fingerprint(&self) -> String {
         let values = [
             self.supply_voltage_v,
@@ -204,6 +226,14 @@ impl ActuatorParameters {
             self.hysteresis_half_band_a,
             self.step_s,
         ];
-        fingerprint(&format!("actuator;{}", values.map(exact).join(",")))
+        let mut text = format!("actuator;{}", values.map(exact).join(","));
+        if !self.effects.is_empty() {
+            text += &format!(";temperature,{}", exact(self.temperature_degc));
+        }
+        for e in &self.effects {
+            let values: Vec<String> = e.parameters().map(|(_, x)| exact(x)).collect();
+            text += &format!(";{},{}", e.kind.name(), values.join(","));
+        }
+        fingerprint(&text)
     }
 }

@@ -1,5 +1,6 @@
 //! The numerical test bench (paper 3.1): N actuators side by side, stepped together.
 
+use crate::effect::LaneEffects;
 use crate::lanes::{self, Constants, InstructionSet, RESYNC_STEPS, State, Sums, Units, term};
 use crate::parameters::ActuatorParameters;
 use schemas::channel::{Channel, ChannelSet};
@@ -32,6 +33,8 @@ pub struct NumericalTestBench<const N: usize> {
     constants: Constants<N>,
     state: State<N>,
     sums: Sums<N>,
+    effects: Box<LaneEffects<N>>,
+    has_effects: bool,
     inverse: Inverse<N>,
     supply_voltage_v: [f64; N],
     same: bool,
@@ -64,9 +67,11 @@ impl<const N: usize> NumericalTestBench<N> {
         );
         let mut constants = Constants::default();
         let mut state = State::default();
+        let mut effects = Box::<LaneEffects<N>>::default();
         let at = |l: usize| &lanes[l.min(lanes.len() - 1)];
         for l in 0..N {
             constants.set(l, &at(l).actuator, at(l).fault, at(l).rest_angle_rad, at(l).load_n_m);
+            effects.push(&at(l).actuator, at(l).fault, at(l).rest_angle_rad, at(l).load_n_m);
         }
         state.ma = constants.hb;
         state.mb = constants.hb;
@@ -87,6 +92,8 @@ impl<const N: usize> NumericalTestBench<N> {
             same: lanes
                 .iter()
                 .all(|l| Arc::ptr_eq(&l.actuator, &lanes[0].actuator) && l.load_n_m == lanes[0].load_n_m),
+            has_effects: effects.any(),
+            effects,
             all_terms: loaded || extra,
             constants,
             state,
@@ -107,13 +114,16 @@ impl<const N: usize> NumericalTestBench<N> {
             let (now, later) = com.split_at(n);
             let (set, same) = (self.set, self.same);
             let (k, st, sum) = (&self.constants, &mut self.state, &mut self.sums);
+            let fx = &mut *self.effects;
             const ALL: u32 = term::STOPS | term::LOAD | term::EXTRA;
-            if self.all_terms {
-                lanes::steps::<N, ALL>(set, same, k, st, sum, now);
+            if self.has_effects {
+                lanes::steps::<N, { ALL | term::EFFECTS }>(set, same, k, st, sum, fx, now);
+            } else if self.all_terms {
+                lanes::steps::<N, ALL>(set, same, k, st, sum, fx, now);
             } else if Self::stops_within_reach(k, st, n) {
-                lanes::steps::<N, { term::STOPS }>(set, same, k, st, sum, now);
+                lanes::steps::<N, { term::STOPS }>(set, same, k, st, sum, fx, now);
             } else {
-                lanes::steps::<N, 0>(set, same, k, st, sum, now);
+                lanes::steps::<N, 0>(set, same, k, st, sum, fx, now);
             }
             self.step += n as u64;
             com = later;
@@ -142,7 +152,10 @@ impl<const N: usize> NumericalTestBench<N> {
         match channel {
             Channel::Com | Channel::Temperature => [f64::NAN; N],
             Channel::ThetaU => std::array::from_fn(|l| st.th_u[l] / k.n[l]),
-            Channel::ThetaM => std::array::from_fn(|l| k.th0[l] + st.th[l]),
+            Channel::ThetaM => std::array::from_fn(|l| {
+                let theta = k.th0[l] + st.th[l];
+                self.effects.lane(l).map_or(theta, |e| theta + e.angle_error(theta))
+            }),
             Channel::OmegaM => std::array::from_fn(|l| st.turn[l] * u.rad_per_s[l]),
             Channel::IEq => mean(&sum.abs, &u.half_ampere),
             Channel::IA => mean(&sum.ia, &u.ampere),
@@ -154,7 +167,7 @@ impl<const N: usize> NumericalTestBench<N> {
             Channel::TorqueM => mean(&sum.torque, &u.newton_metre),
             Channel::IQ => mean(&sum.iq, &u.ampere),
             Channel::ISupply => mean(&sum.supply, &u.ampere),
-            Channel::VDc => self.supply_voltage_v,
+            Channel::VDc => std::array::from_fn(|l| self.supply_voltage_v[l] - self.effects.sag(l)),
         }
     }
 

@@ -3,6 +3,8 @@
 //! `v = R i + L di/dt + ke w + sum of effects`.
 
 use super::{Effect, EffectKind};
+use crate::parameters::ActuatorParameters;
+use crate::trig;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
 
 /// Temperature at which friction and resistance are the nominal ones [degC] (assumed).
@@ -51,6 +53,38 @@ pub struct Constants {
     pub pole_pairs: f64,
 }
 
+impl Constants {
+    /// Of an actuator whose dry friction is `fsj` times the nominal.
+    pub fn of(p: &ActuatorParameters, fsj: f64) -> Self {
+        Self {
+            torque_constant: p.torque_constant_n_m_per_a(),
+            coulomb: fsj * p.static_friction_n_m * p.dynamic_friction_ratio,
+            viscous: p.viscous_n_m_s_per_rad,
+            resistance: 2.0 * p.phase_resistance_ohm,
+            inductance: 2.0 * p.phase_inductance_h,
+            pole_pairs: p.pole_pairs as f64,
+        }
+    }
+}
+
+/// `x^d`, quicker for the usual exponents of Stribeck's curve.
+#[inline]
+fn power(x: f64, d: f64) -> f64 {
+    if d == 1.0 {
+        x
+    } else if d == 2.0 {
+        x * x
+    } else {
+        x.powf(d)
+    }
+}
+
+/// The same bits on every machine, see [`trig`].
+#[inline]
+fn cos(x: f64) -> f64 {
+    trig::sin_cos(x).1
+}
+
 /// `trap` of the paper: 0 to 1 over 0..30 electrical degrees, 1 to 150, to -1 at 210, -1 to 330,
 /// back to 0 at 360.
 pub fn shape(electrical: f64) -> f64 {
@@ -80,18 +114,27 @@ pub fn conducting(theta: f64, pole_pairs: f64) -> [f64; 3] {
     })
 }
 
+/// Share of the torque constant that is lost where the drive takes the electrical angle for
+/// `P theta + error`: it feeds the phases of that angle, the back-EMF shapes are those of the true one.
+pub fn commutation_share(theta: f64, error: f64, pole_pairs: f64) -> f64 {
+    let on = conducting(theta + error / pole_pairs, pole_pairs);
+    let at = |q: usize| on[q] * shape(pole_pairs * theta - TAU / 3.0 * q as f64);
+    0.5 * (at(0) + at(1) + at(2)) - 1.0
+}
+
 impl Effect {
     /// Friction level [N m] that it adds to the dry friction; times `sgn w` it is a torque.
+    #[inline]
     pub fn friction(&self, s: &Signals, c: &Constants) -> f64 {
         let [a, b, d] = self.values;
         match self.kind {
-            EffectKind::Stribeck => a * (-(s.omega.abs() / b).powf(d)).exp(),
+            EffectKind::Stribeck => a * (-power(s.omega.abs() / b, d)).exp(),
             EffectKind::LubricatedRise => a * -(-s.omega.abs() / b).exp_m1(),
             EffectKind::LoadDependentFriction => a * s.load.abs(),
             EffectKind::TemperatureDependentFriction => {
                 a * (s.temperature - REFERENCE_TEMPERATURE_DEGC) * (c.coulomb + c.viscous * s.omega.abs())
             }
-            EffectKind::PeriodicFriction => a * (d * s.theta + b).cos(),
+            EffectKind::PeriodicFriction => a * cos(d * s.theta + b),
             EffectKind::TightSpot => a * (-((s.theta - b) / d).powi(2)).exp(),
             _ => 0.0,
         }
@@ -101,32 +144,29 @@ impl Effect {
     pub fn constant_share(&self, s: &Signals, c: &Constants) -> f64 {
         let [a, b, d] = self.values;
         match self.kind {
-            EffectKind::TorqueRipple => a * (d * s.theta + b).cos(),
+            EffectKind::TorqueRipple => a * cos(d * s.theta + b),
             EffectKind::Eccentricity => {
                 let on = conducting(s.theta, c.pole_pairs);
-                let mean = |q: usize| 0.5 * on[q].abs() * (s.theta + b + TAU / 3.0 * q as f64).cos();
+                let mean = |q: usize| 0.5 * on[q].abs() * cos(s.theta + b + TAU / 3.0 * q as f64);
                 a * (mean(0) + mean(1) + mean(2))
             }
             EffectKind::TurnShort => -0.5 * a * conducting(s.theta, c.pole_pairs)[(b as usize).min(2)].abs(),
-            EffectKind::CommutationOffset => {
-                let on = conducting(s.theta, c.pole_pairs);
-                let at = |q: usize| on[q] * shape(c.pole_pairs * s.theta + a - TAU / 3.0 * q as f64);
-                0.5 * (at(0) + at(1) + at(2)) - 1.0
-            }
+            EffectKind::CommutationOffset => commutation_share(s.theta, a, c.pole_pairs),
             _ => 0.0,
         }
     }
 
     /// Torque that the motor must give in addition [N m]; effects with a state of their own
     /// (presliding, compliance, backlash) are not here.
+    #[inline]
     pub fn torque(&self, s: &Signals, c: &Constants) -> f64 {
         let [a, b, d] = self.values;
         match self.kind {
             EffectKind::QuadraticDrag => a * s.omega * s.omega.abs(),
             EffectKind::ViscousAsymmetry => a * s.omega.abs(),
             EffectKind::BiasTorque => a,
-            EffectKind::Cogging => a * (d * s.theta + b).cos(),
-            EffectKind::TorqueSaturation => a * c.torque_constant * s.current * s.current.abs(),
+            EffectKind::Cogging => a * cos(d * s.theta + b),
+            EffectKind::TorqueSaturation => c.torque_constant * s.current * (1.0 - self.saturation(s.current)),
             EffectKind::SpringLoad => a * (s.theta - s.rest),
             EffectKind::TorqueRipple
             | EffectKind::Eccentricity
@@ -142,9 +182,9 @@ impl Effect {
     pub fn voltage(&self, s: &Signals, c: &Constants) -> f64 {
         let a = self.values[0];
         match self.kind {
-            EffectKind::WindingHeating => c.resistance * COPPER_PER_K * a * s.current,
+            EffectKind::WindingHeating => c.resistance * (self.resistance_factor() - 1.0) * s.current,
             EffectKind::SupplySag => a * s.duty * s.duty * s.current,
-            EffectKind::DeadTime => a * (s.current / DEAD_TIME_A).tanh(),
+            EffectKind::DeadTime => 2.0 * self.leg_drop(s.current),
             EffectKind::CurrentOffset => -a * c.resistance,
             EffectKind::CurrentGain => -c.resistance * s.current * a / (1.0 + a),
             EffectKind::TurnShort => {
@@ -158,10 +198,35 @@ impl Effect {
         }
     }
 
+    /// What is left of a phase's torque at its current `i` [A]; it does not turn its sign.
+    pub fn saturation(&self, i: f64) -> f64 {
+        match self.kind {
+            EffectKind::TorqueSaturation => (1.0 - self.values[0] * i.abs()).max(0.0),
+            _ => 1.0,
+        }
+    }
+
+    /// Resistance over the nominal one.
+    pub fn resistance_factor(&self) -> f64 {
+        match self.kind {
+            EffectKind::WindingHeating => 1.0 + COPPER_PER_K * self.values[0],
+            _ => 1.0,
+        }
+    }
+
+    /// Voltage that a conducting leg of the bridge loses at the current `i` [A] into its phase [V];
+    /// two legs conduct at a time.
+    pub fn leg_drop(&self, i: f64) -> f64 {
+        match self.kind {
+            EffectKind::DeadTime => 0.5 * self.values[0] * (i / DEAD_TIME_A).tanh(),
+            _ => 0.0,
+        }
+    }
+
     /// Measured angle less the true one [rad].
     pub fn angle_error(&self, theta: f64) -> f64 {
         match self.kind {
-            EffectKind::EncoderEccentricity => self.values[0] * (theta + self.values[1]).sin(),
+            EffectKind::EncoderEccentricity => self.values[0] * trig::sin_cos(theta + self.values[1]).0,
             _ => 0.0,
         }
     }

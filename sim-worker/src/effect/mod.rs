@@ -3,10 +3,30 @@
 //! injected into the test bench and the simplified model.
 
 mod equations;
+mod file;
+mod inject;
 mod kind;
+mod state;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod tests_physics;
 
-pub use equations::{COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, conducting, shape};
+pub use equations::{
+    COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, shape,
+};
+pub use file::MOST;
+pub(crate) use file::read;
+pub use inject::{Felt, Injection, LaneEffects};
 pub use kind::{EffectKind, Equation, ParameterKey};
+pub use state::{Dahl, DelayLine, Play, TwoMass};
+
+/// An entry of an effect's provenance.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Note {
+    Text(String),
+    Number(f64),
+}
 
 /// An effect with its parameters; SI units, motor side.
 #[derive(Clone, Debug, PartialEq)]
@@ -14,10 +34,14 @@ pub struct Effect {
     pub kind: EffectKind,
     /// values of [`EffectKind::keys`], in their order
     pub values: [f64; 3],
-    /// 95 % intervals of the values, where they were identified
+    /// 95 % intervals of the values, where they were identified; (0, 0) beyond the last key
     pub intervals: Option<[(f64, f64); 3]>,
     /// where the values come from, in words ("assumed", a data hash, a source)
     pub source: String,
+    /// fingerprint of the actuator to which the effect was added
+    pub parent: Option<String>,
+    /// how it was identified: data, runs, score, runner-up ...; keys in the order of the alphabet
+    pub provenance: Vec<(String, Note)>,
 }
 
 impl Effect {
@@ -30,11 +54,22 @@ impl Effect {
             values: all,
             intervals: None,
             source: "assumed".into(),
+            parent: None,
+            provenance: Vec::new(),
         }
     }
 
     /// Name and value of each parameter.
     pub fn parameters(&self) -> impl Iterator<Item = (&'static ParameterKey, f64)> + '_ {
         self.kind.keys().iter().zip(self.values)
+    }
+
+    /// Whether it changes anything.
+    pub fn is_present(&self) -> bool {
+        match self.kind {
+            EffectKind::Presliding => true,
+            EffectKind::Compliance => self.values[2] != 0.0,
+            _ => self.values[0] != 0.0,
+        }
     }
 }

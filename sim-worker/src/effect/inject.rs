@@ -1,0 +1,415 @@
+//! The effects of an actuator, sorted by where they act, for test bench and simplified model.
+
+use super::{Constants, Dahl, DelayLine, Effect, EffectKind, Signals, TwoMass, commutation_share};
+use crate::lanes::Units;
+use crate::parameters::ActuatorParameters;
+use schemas::fault::FaultState;
+
+/// Effects of one actuator; those without amplitude are left out. Winding heating and backlash
+/// are constants of the models, eccentricity is one of the test bench: they are not here or only
+/// for the simplified model.
+#[derive(Clone, Debug)]
+pub struct Injection {
+    /// what the equations refer to
+    pub constants: Constants,
+    /// load, temperature and rest angle; the rest is filled in step by step
+    pub signals: Signals,
+    friction: Vec<Effect>,
+    torque: Vec<Effect>,
+    ripple: Vec<Effect>,
+    eccentricity: Vec<Effect>,
+    short: Vec<Effect>,
+    dead_time: Vec<Effect>,
+    saturation: Vec<Effect>,
+    encoder: Vec<Effect>,
+    /// share of the turns of each phase that is left
+    pub turns: [f64; 3],
+    /// electrical angle of the commutation less the measured one [rad]
+    pub commutation: f64,
+    /// resistance of the source [ohm]
+    pub source: f64,
+    /// measured current: `gain i + offset` [A]
+    pub gain: f64,
+    pub offset: f64,
+    pub delay: Option<DelayLine>,
+    pub bristles: Option<Dahl>,
+    pub behind: Option<TwoMass>,
+}
+
+/// Turns that are left of a phase however many are shorted: without any it would have no
+/// inductance, and its current no equation.
+const FEWEST_TURNS: f64 = 1e-3;
+/// Inertia behind a spring, at most this share of the whole.
+const MOST_BEHIND: f64 = 0.999;
+
+/// Time over which the bus's capacitor levels the supply current [s] (assumed); the source feels
+/// the mean of a switching period, not the switching.
+const BUS_S: f64 = 1e-4;
+
+impl Injection {
+    /// None where the actuator has no effect that changes anything.
+    ///
+    /// * `rest` rotor angle at rest [rad], `load` torque [N m], `dt` step [s]
+    pub fn new(p: &ActuatorParameters, fsj: f64, rest: f64, load: f64, dt: f64) -> Option<Self> {
+        let mut all = Self {
+            constants: Constants::of(p, fsj),
+            signals: Signals {
+                rest,
+                load,
+                temperature: p.temperature_degc,
+                ..Signals::default()
+            },
+            friction: Vec::new(),
+            torque: Vec::new(),
+            ripple: Vec::new(),
+            eccentricity: Vec::new(),
+            short: Vec::new(),
+            dead_time: Vec::new(),
+            saturation: Vec::new(),
+            encoder: Vec::new(),
+            turns: [1.0; 3],
+            commutation: 0.0,
+            source: 0.0,
+            gain: 1.0,
+            offset: 0.0,
+            delay: None,
+            bristles: None,
+            behind: None,
+        };
+        let mut any = false;
+        for e in p.effects.iter().filter(|e| e.is_present()) {
+            any = true;
+            let [a, b, d] = e.values;
+            match e.kind {
+                EffectKind::Stribeck
+                | EffectKind::LubricatedRise
+                | EffectKind::LoadDependentFriction
+                | EffectKind::TemperatureDependentFriction
+                | EffectKind::PeriodicFriction
+                | EffectKind::TightSpot => all.friction.push(e.clone()),
+                EffectKind::QuadraticDrag
+                | EffectKind::ViscousAsymmetry
+                | EffectKind::BiasTorque
+                | EffectKind::Cogging
+                | EffectKind::SpringLoad => all.torque.push(e.clone()),
+                EffectKind::TorqueRipple => all.ripple.push(e.clone()),
+                EffectKind::Eccentricity => all.eccentricity.push(e.clone()),
+                EffectKind::TorqueSaturation => all.saturation.push(e.clone()),
+                EffectKind::Presliding => all.bristles = Some(Dahl::new(a, b, all.constants.coulomb)),
+                EffectKind::Compliance => {
+                    all.behind = Some(TwoMass::new(a, b, d.min(MOST_BEHIND * p.inertia_kg_m2), 0.0));
+                }
+                EffectKind::Backlash | EffectKind::WindingHeating => {}
+                EffectKind::SupplySag => all.source += a,
+                EffectKind::DeadTime => all.dead_time.push(e.clone()),
+                EffectKind::TurnShort => {
+                    let turns = &mut all.turns[(b as usize).min(2)];
+                    *turns = (*turns * (1.0 - a)).max(FEWEST_TURNS);
+                    all.short.push(e.clone());
+                }
+                EffectKind::CommutationOffset => all.commutation += a,
+                EffectKind::EncoderEccentricity => all.encoder.push(e.clone()),
+                EffectKind::CurrentOffset => all.offset += a,
+                EffectKind::CurrentGain => all.gain *= 1.0 + a,
+                EffectKind::ControlDelay => all.delay = Some(DelayLine::new(a, dt)),
+            }
+        }
+        any.then_some(all)
+    }
+
+    /// Whether the steps of the test bench know of it; else its constants say all.
+    fn needs_kernel(p: &ActuatorParameters) -> bool {
+        let constant = [
+            EffectKind::Backlash,
+            EffectKind::WindingHeating,
+            EffectKind::Eccentricity,
+        ];
+        p.effects.iter().any(|e| e.is_present() && !constant.contains(&e.kind))
+    }
+
+    /// Friction level to be added [N m], below 0 where it is taken away.
+    #[inline]
+    pub fn friction(&self, s: &Signals) -> f64 {
+        self.friction.iter().map(|e| e.friction(s, &self.constants)).sum()
+    }
+
+    /// Torque against the motor [N m], but for friction and what acts on the torque constant.
+    #[inline]
+    pub fn torque(&self, s: &Signals) -> f64 {
+        self.torque.iter().map(|e| e.torque(s, &self.constants)).sum()
+    }
+
+    /// Back-EMF coefficients over the nominal ones.
+    pub fn coefficients(&self, s: &Signals) -> [f64; 3] {
+        let share = |e: &Effect| 1.0 + e.constant_share(s, &self.constants);
+        let ripple: f64 = self.ripple.iter().map(share).product();
+        self.turns.map(|t| t * ripple)
+    }
+
+    /// What is left of the torque of a phase current [A].
+    pub fn saturation(&self, i: f64) -> f64 {
+        self.saturation.iter().map(|e| e.saturation(i)).product()
+    }
+
+    /// Voltage that a conducting leg loses [V].
+    pub fn leg_drop(&self, i: f64) -> f64 {
+        self.dead_time.iter().map(|e| e.leg_drop(i)).sum()
+    }
+
+    /// Measured angle less the true one [rad].
+    pub fn angle_error(&self, theta: f64) -> f64 {
+        self.encoder.iter().map(|e| e.angle_error(theta)).sum()
+    }
+
+    /// Electrical angle of the commutation less the true one [rad].
+    pub fn electrical_error(&self, theta: f64) -> f64 {
+        self.constants.pole_pairs * self.angle_error(theta) + self.commutation
+    }
+
+    /// One equivalent phase: share of the torque constant that is lost (negative) or won.
+    pub fn constant_share(&self, s: &Signals) -> f64 {
+        let groups = [&self.ripple, &self.eccentricity, &self.short];
+        let each = groups.into_iter().flatten();
+        let share: f64 = each.map(|e| e.constant_share(s, &self.constants)).sum();
+        let error = self.electrical_error(s.theta);
+        if error == 0.0 {
+            share
+        } else {
+            share + commutation_share(s.theta, error, self.constants.pole_pairs)
+        }
+    }
+
+    /// One equivalent phase: voltage that the source must give in addition [V], but for the
+    /// back-EMF of [`Injection::constant_share`].
+    pub fn voltage(&self, s: &Signals) -> f64 {
+        let dead: f64 = self.dead_time.iter().map(|e| e.voltage(s, &self.constants)).sum();
+        let emf = Signals { omega: 0.0, ..*s };
+        let short: f64 = self.short.iter().map(|e| e.voltage(&emf, &self.constants)).sum();
+        dead + short
+    }
+}
+
+/// What the effects of a lane add to its step, in the units of the kernel.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub struct Felt<const N: usize> {
+    /// torque against the motor and friction level
+    pub torque: [f64; N],
+    pub friction: [f64; N],
+    /// 1 for the actuator's dry friction, 0 where bristles replace it
+    pub dry: [f64; N],
+    /// inertia over what the motor torque accelerates
+    pub agile: [f64; N],
+    /// loss of each leg's voltage
+    pub drop: [[f64; N]; 3],
+    /// half the voltage that a unit of supply current costs; mean of the supply current up to the
+    /// last step
+    pub sag: [f64; N],
+    pub supply: [f64; N],
+    /// weight of a step in that mean
+    pub bus: f64,
+    /// measured current
+    pub gain: [f64; N],
+    pub offset: [f64; N],
+    /// one over the turns left of each phase, and over their sum; 0 with all turns
+    pub more: [[f64; N]; 3],
+    pub even: [f64; N],
+    /// motor angle at the step's start
+    pub th: [f64; N],
+}
+
+/// The effects of all lanes of a test bench.
+#[derive(Clone, Debug)]
+pub struct LaneEffects<const N: usize> {
+    /// none in a lane without effects
+    lanes: Vec<Option<Injection>>,
+    units: Vec<Units>,
+    pub felt: Felt<N>,
+    electrical: bool,
+    dead_time: bool,
+    mechanical: bool,
+    saturated: bool,
+    delayed: bool,
+    dt: f64,
+}
+
+impl<const N: usize> Default for LaneEffects<N> {
+    fn default() -> Self {
+        const ONE: f64 = 1.0;
+        Self {
+            lanes: Vec::new(),
+            units: Vec::new(),
+            felt: Felt {
+                torque: [0.0; N],
+                friction: [0.0; N],
+                dry: [ONE; N],
+                agile: [ONE; N],
+                drop: [[0.0; N]; 3],
+                sag: [0.0; N],
+                supply: [0.0; N],
+                bus: 0.0,
+                gain: [ONE; N],
+                offset: [0.0; N],
+                more: [[ONE; N]; 3],
+                even: [0.0; N],
+                th: [0.0; N],
+            },
+            electrical: false,
+            dead_time: false,
+            mechanical: false,
+            saturated: false,
+            delayed: false,
+            dt: 0.0,
+        }
+    }
+}
+
+impl<const N: usize> LaneEffects<N> {
+    /// Lane after lane.
+    pub fn push(&mut self, p: &ActuatorParameters, f: FaultState, rest: f64, load: f64) {
+        let l = self.lanes.len();
+        let u = Units::new(p);
+        let own = Injection::new(p, f.fsj, rest, load, p.step_s).filter(|_| Injection::needs_kernel(p));
+        self.dt = p.step_s;
+        self.felt.bus = (p.step_s / BUS_S).min(1.0);
+        self.units.push(u);
+        if let Some(e) = &own {
+            self.electrical |=
+                !e.ripple.is_empty() || !e.encoder.is_empty() || e.commutation != 0.0 || e.turns != [1.0; 3];
+            self.dead_time |= !e.dead_time.is_empty();
+            self.mechanical |=
+                !e.friction.is_empty() || !e.torque.is_empty() || e.bristles.is_some() || e.behind.is_some();
+            self.saturated |= !e.saturation.is_empty();
+            self.delayed |= e.delay.is_some();
+            let felt = &mut self.felt;
+            felt.sag[l] = 0.5 * e.source * u.volt / u.ampere;
+            felt.gain[l] = e.gain;
+            felt.offset[l] = e.offset * u.ampere;
+            if e.turns != [1.0; 3] {
+                let more = e.turns.map(|t| 1.0 / t);
+                (0..3).for_each(|q| felt.more[q][l] = more[q]);
+                felt.even[l] = 1.0 / (more[0] + more[1] + more[2]);
+            }
+            if e.bristles.is_some() {
+                felt.dry[l] = 0.0;
+            }
+            if let Some(b) = &e.behind {
+                let j = p.inertia_kg_m2;
+                felt.agile[l] = j / (j - b.inertia + b.slope(self.dt) * self.dt);
+            }
+        }
+        self.lanes.push(own);
+    }
+
+    /// Whether the kernel has to take part.
+    pub fn any(&self) -> bool {
+        self.lanes.iter().any(Option::is_some)
+    }
+
+    /// The effects of a lane.
+    pub fn lane(&self, l: usize) -> Option<&Injection> {
+        self.lanes[l].as_ref()
+    }
+
+    /// Voltage that the source of lane `l` loses [V].
+    pub fn sag(&self, l: usize) -> f64 {
+        let supply = self.felt.supply[l] / self.units[l].ampere;
+        self.lanes[l].as_ref().map_or(0.0, |e| e.source * supply)
+    }
+
+    /// Delays the current references.
+    #[inline]
+    pub fn delay(&mut self, i_ref: &mut [f64; N]) {
+        if self.delayed {
+            for (l, i) in i_ref.iter_mut().enumerate() {
+                if let Some(line) = self.lanes[l].as_mut().and_then(|e| e.delay.as_mut()) {
+                    *i = line.step(*i);
+                }
+            }
+        }
+    }
+
+    /// Scales the back-EMF coefficients `k` and hands out the angle that the commutation is off,
+    /// in units of 30 electrical degrees.
+    ///
+    /// * `theta` rotor angles [rad]
+    #[inline]
+    pub fn electrical(&self, l: usize, theta: f64, k: [&mut f64; 3]) -> Option<f64> {
+        if !self.electrical {
+            return None;
+        }
+        let e = self.lanes[l].as_ref()?;
+        let s = Signals { theta, ..e.signals };
+        for (k, c) in k.into_iter().zip(e.coefficients(&s)) {
+            *k *= c;
+        }
+        let error = e.electrical_error(theta);
+        (error != 0.0).then_some(error * (6.0 / std::f64::consts::PI))
+    }
+
+    /// Works out the loss of each leg.
+    ///
+    /// * `on` whether each phase conducts, `i` phase currents
+    #[inline]
+    pub fn drops(&mut self, l: usize, on: [bool; 3], i: [f64; 3]) {
+        if let Some(e) = self.lanes[l].as_ref().filter(|e| !e.dead_time.is_empty()) {
+            let u = &self.units[l];
+            for q in 0..3 {
+                let drop = if on[q] { e.leg_drop(i[q] / u.ampere) } else { 0.0 };
+                self.felt.drop[q][l] = drop * u.volt;
+            }
+        }
+    }
+
+    pub fn has_dead_time(&self) -> bool {
+        self.dead_time
+    }
+
+    /// Scales the back-EMF coefficients to those that make torque.
+    #[inline]
+    pub fn saturate(&self, l: usize, i: [f64; 3], k: [&mut f64; 3]) {
+        if self.saturated
+            && let Some(e) = &self.lanes[l]
+        {
+            for (k, i) in k.into_iter().zip(i) {
+                *k *= e.saturation(i / self.units[l].ampere);
+            }
+        }
+    }
+
+    /// Works out torque and friction of a lane.
+    ///
+    /// * `th` angle from rest [rad], `turn` speed, `fd` dynamic friction without effects
+    #[inline]
+    pub fn mechanical(&mut self, l: usize, th: f64, turn: f64, fd: f64) {
+        if !self.mechanical {
+            return;
+        }
+        let Some(e) = &mut self.lanes[l] else { return };
+        let u = &self.units[l];
+        e.signals.theta = e.signals.rest + th;
+        e.signals.omega = turn / u.rad_per_s;
+        let s = &e.signals;
+        let (omega, friction, mut torque) = (s.omega, e.friction(s), e.torque(s));
+        if let Some(b) = &mut e.bristles {
+            b.level = (fd / u.newton_metre + friction).max(0.0);
+            torque += b.step(omega, self.dt);
+        }
+        if let Some(b) = &e.behind {
+            torque += b.torque(th, omega, self.dt);
+            self.felt.th[l] = th;
+        }
+        self.felt.friction[l] = friction * u.newton_metre;
+        self.felt.torque[l] = torque * u.newton_metre;
+    }
+
+    /// The angle that moves the user, from rest [rad], after a step which turned the motor by
+    /// `moved` to `th`.
+    #[inline]
+    pub fn user(&mut self, l: usize, th: f64, moved: f64) -> f64 {
+        match self.lanes[l].as_mut().and_then(|e| e.behind.as_mut()) {
+            Some(b) => b.step(self.felt.th[l], moved / self.dt, self.dt).1,
+            None => th,
+        }
+    }
+}
