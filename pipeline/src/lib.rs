@@ -4,6 +4,7 @@ pub mod bridge;
 pub mod case;
 pub mod cli;
 pub mod demo;
+pub mod discrepancy;
 pub mod generate;
 pub mod input;
 pub mod maps;

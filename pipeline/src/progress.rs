@@ -72,3 +72,14 @@ pub fn with_bar<T>(title: &str, total: u64, progress: &Arc<Progress>, work: impl
     bar.finish_and_clear();
     result
 }
+
+/// A line on standard error that says what is being done and for how long (none where that is no terminal).
+pub fn spinner() -> ProgressBar {
+    if QUIET.load(Ordering::Relaxed) {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new_spinner();
+    bar.set_style(ProgressStyle::with_template("{spinner} {msg} ({elapsed})").expect("a valid template"));
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}

@@ -1,6 +1,7 @@
 //! The command line of `ema`.
 
 mod diagnose;
+mod discrepancy;
 mod plot;
 mod run;
 mod simulate;
@@ -70,6 +71,14 @@ enum Commands {
     /// Grid, maps, the paper's four cases and a report, in one go
     #[command(after_help = "Example: ema demo --out demo run.csv    (then open demo/report.html)")]
     Demo(DemoArgs),
+    /// Find where simulation and measurement disagree, name the missing effect, add it to the model
+    #[command(
+        after_help = "Example: ema discrepancy --model datasets/parameters/reference.toml --bench BENCH.toml --out study\n\
+        (then open study/report.html; study/actuator.toml is the model with what was found)\n\
+        Verdicts: none, retune, named, named_with_remainder, ambiguous, unknown. How a bench file is written: \
+        datasets/benches/README.md."
+    )]
+    Discrepancy(discrepancy::DiscrepancyArgs),
     /// SQL over a dataset
     #[command(
         after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature).\n\
@@ -166,6 +175,7 @@ pub fn main() -> ExitCode {
         Commands::Plot(a) => plot::plot(&a),
         Commands::Bench(a) => bench(&a),
         Commands::Demo(a) => crate::demo::demo(&a.out, &a.grid, a.seeds, a.file.as_deref()).map(|()| ExitCode::SUCCESS),
+        Commands::Discrepancy(a) => discrepancy::discrepancy(&a),
         Commands::Query(a) => query(&a),
     };
     result.unwrap_or_else(|e| {

@@ -238,9 +238,46 @@ fn known(s: &mut Section, key: &str, q: Quantity, lead: Option<f64>, default: Op
 }
 
 impl Bench {
+    /// A bench file, or a recording of the project's own, which is a bench by itself.
+    pub fn open(path: &Path, actuator: &ActuatorParameters) -> Result<Self> {
+        if path.extension().is_some_and(|e| e == "parquet" || e == "csv") {
+            return Self::of_recording(path, actuator);
+        }
+        Self::read(path, actuator)
+    }
+
+    /// The bench that a recording of telemetry is: its first two thirds to find, the rest to prove.
+    fn of_recording(path: &Path, actuator: &ActuatorParameters) -> Result<Self> {
+        let (names, duration_s, runs) = super::own::columns(path)?;
+        let mut text = String::from("[rig]\nkind = \"rotary\"\ndrive = \"current\"\n");
+        // how far an actuator of the same type differs (assumed)
+        let fd = actuator.static_friction_n_m * actuator.dynamic_friction_ratio;
+        text += &format!(
+            "drive_constant = {{ value = {:?}, trust = 0.02 }}\ninertia = {{ value = {:?}, trust = 0.05 }}\n\
+             viscous = {{ value = {:?}, trust = 0.3 }}\ncoulomb = {{ value = {fd:?}, trust = 0.5 }}\n[channels]\n",
+            actuator.torque_constant_n_m_per_a(),
+            actuator.inertia_kg_m2,
+            actuator.viscous_n_m_s_per_rad,
+        );
+        text += &super::own::channels(&names);
+        for r in runs {
+            let run = r.map_or(String::new(), |r| format!("where = {{ run = {r} }}\n"));
+            let cut = 0.65 * duration_s;
+            let file = path.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
+            for (role, from, to) in [("fit", 0.0, cut), ("heldout", cut, duration_s + 1.0)] {
+                text += &format!("[[run]]\nfile = {file:?}\nrole = \"{role}\"\nwindow_s = [{from:?}, {to:?}]\n{run}");
+            }
+        }
+        let file = path.display().to_string();
+        Self::from_section(toml_section::parse(&file, &text)?, path, actuator)
+    }
+
     /// Reads a bench file; what it does not say of the rig is taken from the actuator.
     pub fn read(path: &Path, actuator: &ActuatorParameters) -> Result<Self> {
-        let mut s = toml_section::read(path)?;
+        Self::from_section(toml_section::read(path)?, path, actuator)
+    }
+
+    fn from_section(mut s: Section, path: &Path, actuator: &ActuatorParameters) -> Result<Self> {
         let mut rig_section = s.section("rig")?;
         let rig = rig(&mut rig_section, actuator)?;
         rig_section.finish()?;

@@ -35,6 +35,8 @@ pub struct RigConstants {
     pub from_position: bool,
     /// error of the angle sensor as far as it is known: amplitudes of sine and cosine [rad]
     pub encoder: (f64, f64),
+    /// of the controller's law [drive unit per rad/s]
+    pub speed_gain: f64,
 }
 
 impl RigConstants {
@@ -50,6 +52,9 @@ impl RigConstants {
         t
     }
 }
+
+/// An amplitude at which saturation is linear in it [1/A].
+const SMALL: f64 = 1e-6;
 
 /// Which parameters of an effect are linear amplitudes, which are shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,39 +95,74 @@ fn moments<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = effe
         sign: s.sign[k],
         current: s.drive[k],
         current_rate: s.drive_rate[k],
-        load: s.load[k],
+        load: s.load_level[k],
         temperature: s.temperature.as_ref().map_or(effect::REFERENCE_TEMPERATURE_DEGC, |t| t[k]),
         duty: s.voltage.as_ref().map_or(0.0, |v| v[k])
             / s.supply.as_ref().map_or(c.supply_voltage, |v| v[k].max(1e-3)),
     })
 }
 
-/// Mean of `f` over each sample, in which the rotor turns on: exact for a steady speed where the
-/// effect is a sine of the angle, over some points of the sample where it has steps.
-fn averaged(e: &Effect, s: &Signals, c: &RigConstants, f: impl Fn(&effect::Signals) -> f64) -> Vec<f64> {
-    let period = 1.0 / s.rate_hz;
-    match e.kind {
-        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => moments(s, c)
-            .map(|m| {
-                let x = 0.5 * e.values[2] * m.omega * period;
-                f(&m) * if x.abs() > 1e-6 { x.sin() / x } else { 1.0 }
-            })
-            .collect(),
-        EffectKind::Eccentricity | EffectKind::TurnShort | EffectKind::CommutationOffset => moments(s, c)
-            .map(|m| {
-                let points = [-0.4, -0.2, 0.0, 0.2, 0.4];
-                let at = |d: &f64| f(&effect::Signals { theta: m.theta + d * m.omega * period, ..m });
-                points.iter().map(at).sum::<f64>() / points.len() as f64
-            })
-            .collect(),
-        _ => moments(s, c).map(|m| f(&m)).collect(),
+/// Points of a rotor turn at which steps of an effect are resolved.
+const POINTS: usize = 4096;
+
+/// Mean over each sample, in which the rotor turns on at its speed, of a share that depends on the
+/// angle alone: from the share's integral over a turn.
+fn mean_share(e: &Effect, s: &Signals, c: &RigConstants) -> Vec<f64> {
+    let step = TAU / POINTS as f64;
+    let mut sum = 0.0;
+    let mut integral = Vec::with_capacity(POINTS + 1);
+    integral.push(0.0);
+    for i in 0..POINTS {
+        let theta = (i as f64 + 0.5) * step;
+        let moment = effect::Signals {
+            theta,
+            ..Default::default()
+        };
+        sum += e.constant_share(&moment, &c.effect) * step;
+        integral.push(sum);
     }
+    let until = |theta: f64| -> f64 {
+        let turns = (theta / TAU).floor();
+        let at = (theta / TAU - turns) * POINTS as f64;
+        let i = (at as usize).min(POINTS - 1);
+        turns * sum + integral[i] + (at - i as f64) * (integral[i + 1] - integral[i])
+    };
+    let half = 0.5 / s.rate_hz;
+    (0..s.n)
+        .map(|k| {
+            // never narrower than a point of the table
+            let reach = (s.omega[k] * half).abs().max(0.5 * step);
+            (until(s.theta[k] + reach) - until(s.theta[k] - reach)) / (2.0 * reach)
+        })
+        .collect()
 }
 
-/// Torque and voltage of an effect over a run.
+/// Torque and voltage of an effect over a run, means over each sample.
 fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
+    let electrical = s.voltage.is_some() && c.measured_current;
+    let (torque, voltage): (Vec<f64>, Option<Vec<f64>>) = match e.kind {
+        // an order that is no whole number has no table over one turn
+        EffectKind::TorqueRipple => {
+            let both = moments(s, c).map(|m| e.shared(&m, &c.effect, e.constant_share(&m, &c.effect) * blur(e, &m, s)));
+            let (t, v) = both.unzip();
+            (t, electrical.then_some(v))
+        }
+        EffectKind::Eccentricity | EffectKind::TurnShort | EffectKind::CommutationOffset => {
+            let share = mean_share(e, s, c);
+            let (t, v) = moments(s, c).zip(share).map(|(m, share)| e.shared(&m, &c.effect, share)).unzip();
+            (t, electrical.then_some(v))
+        }
+        _ => {
+            let torque = moments(s, c).map(|m| e.torque(&m, &c.effect) * blur(e, &m, s)).collect();
+            let other = matches!(
+                e.kind,
+                EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::DeadTime | EffectKind::SupplySag
+            );
+            let voltage = (electrical && other).then(|| moments(s, c).map(|m| e.voltage(&m, &c.effect)).collect());
+            (torque, voltage)
+        }
+    };
     let mut column = Vec::new();
-    let torque = averaged(e, s, c, |m| e.torque(m, &c.effect));
     if torque.iter().any(|x| *x != 0.0) {
         column.push(Piece {
             equation: Equation::Torque,
@@ -130,26 +170,25 @@ fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
             signal: torque,
         });
     }
-    let electrical = matches!(
-        e.kind,
-        EffectKind::TorqueRipple
-            | EffectKind::Eccentricity
-            | EffectKind::CommutationOffset
-            | EffectKind::TurnShort
-            | EffectKind::CurrentOffset
-            | EffectKind::CurrentGain
-            | EffectKind::DeadTime
-            | EffectKind::SupplySag
-            | EffectKind::WindingHeating
-    );
-    if electrical && s.voltage.is_some() && c.measured_current {
+    if let Some(signal) = voltage {
         column.push(Piece {
             equation: Equation::Electrical,
             order: 0,
-            signal: averaged(e, s, c, |m| e.voltage(m, &c.effect)),
+            signal,
         });
     }
     column
+}
+
+/// What the mean over a sample leaves of a sine of the angle, at a steady speed.
+fn blur(e: &Effect, m: &effect::Signals, s: &Signals) -> f64 {
+    match e.kind {
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
+            let x = 0.5 * e.values[2] * m.omega / s.rate_hz;
+            if x.abs() > 1e-6 { x.sin() / x } else { 1.0 }
+        }
+        _ => 1.0,
+    }
 }
 
 /// `sin` and `cos` of the angle, times what an angle error does to each equation.
@@ -176,6 +215,10 @@ fn encoder(s: &Signals, c: &RigConstants, f: fn(f64) -> f64) -> Column {
     }
     if s.velocity.is_some() {
         add(Equation::Kinematic, 1, times(-1.0));
+        if c.speed_gain > 0.0 {
+            // the law acts on the true speed, ours on that of the position
+            add(Equation::Controller, 2, times(c.speed_gain));
+        }
     }
     column
 }
@@ -203,7 +246,9 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             }
         }
         EffectKind::EncoderEccentricity => {
-            out.linear = vec![encoder(s, c, f64::sin), encoder(s, c, f64::cos)];
+            // an angle sensor that is out of centre is seldom round either: twice a turn comes along
+            let forms: [fn(f64) -> f64; 4] = [f64::sin, f64::cos, |t| (2.0 * t).sin(), |t| (2.0 * t).cos()];
+            out.linear = forms.map(|f| encoder(s, c, f)).into();
         }
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
             out.linear = vec![amplitude(&[1.0, 0.0, shape[0]]), amplitude(&[1.0, -FRAC_PI_2, shape[0]])];
@@ -211,7 +256,14 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         EffectKind::Eccentricity => {
             out.linear = vec![amplitude(&[1.0, 0.0]), amplitude(&[1.0, -FRAC_PI_2])];
         }
-        EffectKind::CommutationOffset => out.fixed = amplitude(shape),
+        EffectKind::CommutationOffset => {
+            // the angle that is measured is the one commutated by (0), or the true one (1)
+            let turned = Signals {
+                theta: s.theta.iter().map(|t| t - (1.0 - shape[1]) * shape[0] / c.effect.pole_pairs).collect(),
+                ..s.clone()
+            };
+            out.fixed = driven(&Effect::new(kind, &shape[..1]), &turned, c);
+        }
         EffectKind::CurrentGain => {
             // linear in g/(1+g); the torque that the model expects stands for that of the measured
             // current, whose noise would fit itself
@@ -249,19 +301,21 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         }
         EffectKind::Backlash => {
             if s.user.is_some() {
-                let (followed, free) = loose(s, 0.5 * shape[0], shape[1], shape[2]);
+                let (followed, speed) = loose(s, 0.5 * shape[0], shape[1], shape[2]);
                 let signal = followed.iter().zip(&s.theta).map(|(u, t)| u - t);
                 out.fixed.push(Piece {
                     equation: Equation::Transmission,
                     order: 0,
                     signal: signal.collect(),
                 });
-                // in the gap the load's share of friction and inertia is gone
-                for x in [&s.sign, &s.accel] {
+                // what the motor feels of the load beyond a rigid shaft: its friction, its inertia
+                let turned = speed.iter().zip(&s.sign).map(|(w, sign)| if *w == 0.0 { -sign } else { w.signum() - sign });
+                let slower = speed.iter().zip(&s.omega).map(|(w, m)| w - m);
+                for (order, signal) in [(0, turned.collect()), (1, slower.collect())] {
                     out.linear.push(vec![Piece {
                         equation: Equation::Torque,
-                        order: 0,
-                        signal: x.iter().zip(&free).map(|(x, g)| -x * g).collect(),
+                        order,
+                        signal,
                     }]);
                 }
             }
@@ -280,6 +334,12 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
                     signal: deflection,
                 });
             }
+        }
+        EffectKind::TorqueSaturation => {
+            // linear while the torque still rises with the current
+            let mut column = amplitude(&[SMALL]);
+            column.iter_mut().for_each(|p| p.signal.iter_mut().for_each(|x| *x /= SMALL));
+            out.linear.push(column);
         }
         EffectKind::ControlDelay => {
             let late = |x: &[f64]| shifted(x, -shape[0] * s.rate_hz);
@@ -333,15 +393,14 @@ fn dahl(s: &Signals, distance: f64) -> Vec<f64> {
         .collect()
 }
 
-/// A load that the motor pushes through a gap of half-width `half`: its angle, and 1 where it is
-/// pushed by neither side. Let go, it is slowed down by its own friction; impacts are plastic.
+/// A load that the motor pushes through a gap of half-width `half`: its angle and speed. Let go, it is slowed down by its own friction; impacts are plastic.
 ///
 /// * `slowing` friction of the load over its inertia [rad/s2]; without end it is the play operator
 /// * `per_inertia` one over its inertia: how much a load torque accelerates it [1/(kg m2)]
 fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64) -> (Vec<f64>, Vec<f64>) {
     let dt = 1.0 / s.rate_hz;
     let (mut x, mut w) = (s.theta[0], s.omega[0]);
-    let mut free = Vec::with_capacity(s.n);
+    let mut speed = Vec::with_capacity(s.n);
     let followed = (0..s.n)
         .map(|k| {
             let before = w;
@@ -359,18 +418,18 @@ fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64) -> (Vec<f64>, V
                 let along = s.omega[k];
                 w = if gap > 0.0 { w.max(along) } else { w.min(along) };
             }
-            free.push(if pushed { 0.0 } else { 1.0 });
+            speed.push(w);
             x
         })
         .collect();
-    (followed, free)
+    (followed, speed)
 }
 
 /// The load mass on its spring, driven by the motor's measured motion and the load torque: torque
 /// that the motor feels less that of a rigid shaft [N m], and angle of the load less the motor's [rad].
 fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> (Vec<f64>, Vec<f64>) {
     let natural = (stiffness / inertia.max(1e-12)).sqrt();
-    let substeps = (natural / s.rate_hz * 8.0).ceil().clamp(2.0, 40.0) as usize;
+    let substeps = (natural / s.rate_hz * 6.0).ceil().clamp(2.0, 40.0) as usize;
     let dt = 1.0 / (s.rate_hz * substeps as f64);
     let (mut x, mut w) = (s.theta[0], s.omega[0]);
     let mut torque = Vec::with_capacity(s.n);
@@ -384,11 +443,13 @@ fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> (Vec<f64
             let share = (j as f64 + 0.5) / substeps as f64;
             let theta = s.theta[k] + share * (s.theta[next] - s.theta[k]);
             let omega = s.omega[k] + share * (s.omega[next] - s.omega[k]);
-            // implicit in the load's speed
+            // implicit midpoint rule: no damping but the spring's own
             let load = s.load[k] + share * (s.load[next] - s.load[k]);
-            let drive = stiffness * (theta - x) + damping * (omega - w) - load;
-            w += dt / (inertia + dt * (damping + dt * stiffness)) * (drive - dt * stiffness * w);
-            x += w * dt;
+            let half = 0.5 * dt / inertia;
+            let push = stiffness * (theta - x) + damping * omega - load;
+            let middle = (w + half * push) / (1.0 + half * (0.5 * dt * stiffness + damping));
+            w = 2.0 * middle - w;
+            x += middle * dt;
         }
     }
     (torque, deflection)
@@ -418,10 +479,11 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Amplitude if e.kind == EffectKind::CurrentGain => (vec![], vec![v[0] / (1.0 + v[0])]),
         Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
         Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {
-            (vec![], vec![v[0] * v[1].cos(), v[0] * v[1].sin()])
+            (vec![], vec![v[0] * v[1].cos(), v[0] * v[1].sin(), 0.0, 0.0])
         }
         Form::Periodic => (v[2..].to_vec(), vec![v[0] * v[1].cos(), -v[0] * v[1].sin()]),
         Form::Shape if e.kind == EffectKind::Backlash => (vec![v[0], 1e6, 0.0], vec![0.0, 0.0]),
+        Form::Shape if e.kind == EffectKind::CommutationOffset => (vec![v[0], 1.0], vec![]),
         Form::Shape => (v.to_vec(), vec![]),
         Form::Presliding => (vec![coulomb / v[0]], vec![1.0, v[1]]),
         Form::Heating => (vec![], vec![v[0] / hottest.max(1e-9)]),
@@ -458,7 +520,10 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             one(orders.filter(|n| n * stroke > 1.2 * TAU).collect())
         }
         EffectKind::Presliding => one(log(1e-5 * stroke.max(1.0), 0.05 * stroke, 9)),
-        EffectKind::CommutationOffset => one([-0.7, -0.45, -0.25, -0.12, 0.12, 0.25, 0.45, 0.7].to_vec()),
+        EffectKind::CommutationOffset => {
+            let angles = [-0.7, -0.45, -0.25, -0.12, 0.12, 0.25, 0.45, 0.7];
+            angles.iter().flat_map(|&a| [0.0, 1.0].map(|f| vec![a, f])).collect()
+        }
         EffectKind::Backlash => {
             let free = 1.0 / (0.5 * c.inertia);
             let gaps = log(1e-5 * stroke, 0.1 * stroke, 12);
@@ -526,7 +591,7 @@ pub fn scales(kind: EffectKind) -> &'static [Option<bool>] {
         EffectKind::Backlash => &[LOG, LOG, LIN],
         EffectKind::TightSpot => &[LIN, LOG],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
-        EffectKind::CommutationOffset => &[LIN],
+        EffectKind::CommutationOffset => &[LIN, None],
         EffectKind::Compliance => &[LOG, LOG, LOG],
         EffectKind::TurnShort => &[None],
         _ => &[],
@@ -545,7 +610,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::TightSpot => vec![(low - 0.05 * stroke, high + 0.05 * stroke), (0.004 * stroke, 0.25 * stroke)],
         EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke)],
         EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1.0, 1e7), (0.0, 1e7)],
-        EffectKind::CommutationOffset => vec![(-1.5, 1.5)],
+        EffectKind::CommutationOffset => vec![(-1.5, 1.5), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
         EffectKind::TurnShort => vec![(0.0, 2.0)],
         EffectKind::ControlDelay => vec![(1e-6, 0.5)],

@@ -251,7 +251,7 @@ impl<'a> Scan<'a> {
     pub fn best(&self, kind: EffectKind) -> Option<(Term, Score)> {
         let shapes = columns::grid(kind, &self.problem.signals, self.constants);
         let scored: Vec<(Vec<f64>, Score)> =
-            shapes.into_par_iter().filter_map(|s| self.score(kind, &s).map(|x| (s, x))).collect();
+            shapes.into_par_iter().filter(|s| self.inside(kind, s)).filter_map(|s| self.score(kind, &s).map(|x| (s, x))).collect();
         let better = |a: &&(Vec<f64>, Score), b: &&(Vec<f64>, Score)| a.1.log_likelihood.total_cmp(&b.1.log_likelihood);
         let (shape, score) = scored.iter().max_by(better)?;
         Some(self.refined(kind, shape, score, 40))
@@ -283,7 +283,7 @@ impl<'a> Scan<'a> {
             }).collect();
             simplex(&start, &step, steps, |x| {
                 let s = plain(x);
-                match self.score(kind, &s) {
+                match self.score(kind, &s).filter(|_| self.inside(kind, &s)) {
                     Some(score) => {
                         let value = -score.log_likelihood;
                         if score.log_likelihood > best.1.log_likelihood {
@@ -301,6 +301,17 @@ impl<'a> Scan<'a> {
             amplitudes: best.1.amplitudes.clone(),
         };
         (term, best.1)
+    }
+
+    /// Whether a tight spot lies within the travel, so far that friction is seen to fall again on both
+    /// sides: else it may as well be the end of the stroke.
+    fn inside(&self, kind: EffectKind, shape: &[f64]) -> bool {
+        if kind != EffectKind::TightSpot {
+            return true;
+        }
+        let all = self.problem.signals.iter().flat_map(|s| &s.theta);
+        let (low, high) = all.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+        shape[0] - 2.0 * shape[1] > low && shape[0] + 2.0 * shape[1] < high
     }
 
     /// A tenth of the order that a whole turn more over the stroke makes.

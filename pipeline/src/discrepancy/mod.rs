@@ -2,14 +2,27 @@
 //! the model, and the gap shown to shrink on data that was not used to find it.
 
 pub mod bench;
+pub mod check;
 pub mod columns;
+pub mod compare;
 pub mod filter;
+pub mod findings;
 pub mod fit;
+pub mod html;
+mod html_figures;
+pub mod intervals;
+pub mod next;
+mod own;
+pub mod persist;
 pub mod problem;
 pub mod recording;
 pub mod remainder;
+mod run;
 pub mod select;
 pub mod signals;
 pub mod study;
 pub mod table;
+pub mod tell;
 pub mod units;
+
+pub use run::{Written, study_file, study_into};

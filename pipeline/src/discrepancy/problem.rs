@@ -12,7 +12,7 @@ use std::ops::Range;
 /// Uncertainty of what is never perfect in sensors, one sigma (assumed): gain, offset over noise,
 /// clock between channels over the sample.
 const SENSOR_GAIN: f64 = 0.006;
-const SENSOR_OFFSET: f64 = 0.25;
+const SENSOR_OFFSET: f64 = 0.1;
 const SENSOR_CLOCK: f64 = 0.15;
 /// Mains frequencies looked for [Hz].
 pub const MAINS_HZ: [f64; 2] = [50.0, 60.0];
@@ -83,6 +83,7 @@ pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
         measured_current: rig.drive == BenchChannel::Current,
         from_position: clock.from_position,
         encoder: (0.0, 0.0),
+        speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
     }
 }
 
@@ -109,7 +110,7 @@ pub fn nuisances(bench: &Bench, noise: &NoiseTable, equations: &[Equation]) -> V
         unit,
         of_machine: false,
     };
-    let noise_of = |c: BenchChannel| noise.get(&c).copied().unwrap_or(0.0);
+    let noise_of = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
     let has = |e: Equation| equations.contains(&e);
     let mut out = vec![
         machine("inertia", &rig.inertia, "kg m2"),
@@ -150,7 +151,7 @@ pub fn nuisances(bench: &Bench, noise: &NoiseTable, equations: &[Equation]) -> V
     }
     if has(Equation::Controller) {
         out.push(sensor("law_gain", 0.05, "-"));
-        out.push(sensor("law_clock", 0.5, "sample"));
+        out.push(sensor("law_clock", 0.1, "sample"));
     }
     out
 }
@@ -227,12 +228,12 @@ impl Problem {
             bank,
             signals,
         };
-        p.fill(bench, runs, noise, nuisances);
+        p.fill(bench, runs, nuisances);
         p
     }
 
     /// Left-hand sides and nuisance columns.
-    fn fill(&mut self, bench: &Bench, runs: &[&Run], noise: &NoiseTable, nuisances: &[Nuisance]) {
+    fn fill(&mut self, bench: &Bench, runs: &[&Run], nuisances: &[Nuisance]) {
         use BenchChannel as C;
         let rig = &bench.rig;
         let (kt, j0, b0, tc) = (
@@ -247,8 +248,6 @@ impl Problem {
         let mut y = vec![0.0; self.rows];
         let mut offsets = Vec::new();
         let wide = |x: f64| if x > 0.0 { x } else { 1.0 };
-        let velocity_noise = noise.get(&C::Velocity).copied().unwrap_or(0.0);
-        let _ = velocity_noise;
         for block in &self.blocks {
             let (s, run) = (&self.signals[block.run], runs[block.run]);
             let bank = |c: C| self.clock.bank(bench, c);
@@ -439,32 +438,33 @@ fn autocorrelation(bank: &FilterBank, lag: usize) -> f64 {
 fn floors(bench: &Bench, clock: &Clock, noise: &NoiseTable, bank: &FilterBank) -> [f64; 5] {
     use BenchChannel as C;
     let rig = &bench.rig;
-    let gain: Vec<f64> = bank.order.iter().map(|k| k.noise_gain()).collect();
-    let get = |c: C| noise.get(&c).copied().unwrap_or(0.0);
-    let drive = get(rig.drive);
+    // rms that a channel's noise leaves behind a filter
+    let left = |c: C, order: usize| -> f64 {
+        noise.get(&c).map_or(0.0, |n| n.rms * bank.order[order].noise_gain_of(n.colour))
+    };
     let (speed, accel) = if clock.from_position {
-        (get(C::Position) * gain[1], get(C::Position) * gain[2])
+        (left(C::Position, 1), left(C::Position, 2))
     } else {
-        (get(C::Velocity) * gain[0], get(C::Velocity) * gain[1])
+        (left(C::Velocity, 0), left(C::Velocity, 1))
     };
     let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-300);
     let kt = rig.drive_constant.value;
     let law = rig.controller.as_ref().map_or(0.0, |l| l.speed_gain);
     Equation::ALL.map(|e| match e {
         Equation::Torque => norm(&[
-            kt * drive * gain[0],
+            kt * left(rig.drive, 0),
             rig.inertia.value * accel,
             rig.viscous.value * speed,
-            get(C::Load) * gain[0],
+            left(C::Load, 0),
         ]),
         Equation::Electrical => norm(&[
-            get(C::Voltage) * gain[0],
-            rig.resistance.value * drive * gain[0],
-            rig.inductance.value * drive * gain[1],
+            left(C::Voltage, 0),
+            rig.resistance.value * left(rig.drive, 0),
+            rig.inductance.value * left(rig.drive, 1),
             rig.back_emf.value * speed,
         ]),
-        Equation::Transmission => norm(&[get(C::UserPosition) * gain[0], get(C::Position) * gain[0]]),
-        Equation::Kinematic => norm(&[get(C::Velocity) * gain[0], get(C::Position) * gain[1]]),
-        Equation::Controller => norm(&[drive * gain[1], law * clock.speed_noise * gain[1]]),
+        Equation::Transmission => norm(&[left(C::UserPosition, 0), left(C::Position, 0)]),
+        Equation::Kinematic => norm(&[left(C::Velocity, 0), left(C::Position, 1)]),
+        Equation::Controller => norm(&[left(rig.drive, 1), law * clock.speed_noise * bank.order[1].noise_gain()]),
     })
 }

@@ -2,6 +2,7 @@
 //! for the usual mistakes before anything is fitted.
 
 use super::bench::{Bench, BenchChannel, ChannelSpec, Noise, Role, RunSpec};
+use super::signals::ChannelNoise;
 use super::table::Table;
 use schemas::error::{Error, Result};
 use std::collections::BTreeMap;
@@ -45,7 +46,7 @@ pub fn read_runs(bench: &Bench) -> Result<Vec<Run>> {
     let mut runs = Vec::new();
     for spec in &bench.runs {
         if !tables.contains_key(&spec.file) {
-            tables.insert(spec.file.clone(), Table::read(&spec.file)?);
+            tables.insert(spec.file.clone(), Table::read(&spec.file)?.with_q_current());
         }
         let table = &tables[&spec.file];
         for (labels, rows) in split(table, spec)? {
@@ -170,15 +171,51 @@ fn evened(time: &[f64], x: &[f64], step: f64) -> Vec<f64> {
         .collect()
 }
 
-/// rms noise of one sample of a channel, resolution included; SI at the motor.
-pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> f64 {
+/// Noise of a channel, resolution included; SI at the motor.
+pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
     let grain = spec.resolution / 12f64.sqrt();
     let white = match spec.noise {
         Noise::Known(x) => x,
         Noise::Repeats => from_repeats(spec.channel, runs).unwrap_or_else(|| estimated(spec.channel, runs)),
-        Noise::Estimated => return estimated(spec.channel, runs),
+        Noise::Estimated => {
+            return ChannelNoise {
+                rms: estimated(spec.channel, runs),
+                colour: 0.0,
+            };
+        }
     };
-    white.hypot(grain)
+    let colour = if white > 2.0 * grain { colour(spec.channel, white, runs) } else { 0.0 };
+    ChannelNoise {
+        rms: white.hypot(grain),
+        colour,
+    }
+}
+
+/// Correlation from sample to sample of the noise of a channel whose rms is known: from the energy
+/// of its fourth differences, in which a smooth signal leaves little. Stretches in which they are
+/// large hold signal, so the quieter ones count.
+fn colour(channel: BenchChannel, rms: f64, runs: &[Run]) -> f64 {
+    let mut blocks: Vec<f64> = Vec::new();
+    for x in runs.iter().filter_map(|r| r.channel(channel)) {
+        let d: Vec<f64> = x.windows(5).map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).collect();
+        blocks.extend(d.chunks_exact(128).map(|b| b.iter().map(|x| x * x).sum::<f64>() / 128.0));
+    }
+    if blocks.is_empty() {
+        return 0.0;
+    }
+    blocks.sort_by(f64::total_cmp);
+    let energy = blocks[blocks.len() / 3] / (rms * rms);
+    // of noise of rms 1: 70 + 2 (-56 r + 28 r^2 - 8 r^3 + r^4)
+    let expected = |r: f64| 70.0 + 2.0 * (-56.0 * r + 28.0 * r * r - 8.0 * r.powi(3) + r.powi(4));
+    if energy > 0.9 * expected(0.0) {
+        return 0.0;
+    }
+    let (mut low, mut high) = (0.0, 0.99);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if expected(middle) > energy { low = middle } else { high = middle }
+    }
+    0.5 * (low + high)
 }
 
 /// From the fourth differences, in which a smooth signal leaves little: their median square, so that

@@ -2,13 +2,13 @@
 //! while data that were not used to find them get better.
 
 use super::bench::{Bench, BenchChannel, Role};
-use super::columns::RigConstants;
+use super::columns::{self, RigConstants};
 use super::fit::{self, Fit, Regressor, Scan, Score, Term};
 use super::problem::{self, Nuisance, Problem};
 use super::recording::Run;
 use super::signals::{self, Clock, NoiseTable};
 use rayon::prelude::*;
-use sim_worker::effect::{EffectKind, Equation};
+use sim_worker::effect::{Effect, EffectKind, Equation};
 
 /// All that a study works on.
 pub struct Material {
@@ -21,6 +21,8 @@ pub struct Material {
     pub constants: RigConstants,
     pub fit: Problem,
     pub held: Option<Problem>,
+    /// effects that the model has already
+    known: Vec<Effect>,
 }
 
 /// A candidate after its shape was refined.
@@ -33,26 +35,45 @@ pub struct Ranked {
 }
 
 impl Material {
-    pub fn new(bench: Bench, runs: Vec<Run>) -> Self {
+    /// * `known` effects that the model has already
+    pub fn new(bench: Bench, runs: Vec<Run>, known: &[Effect]) -> Self {
         let noise = signals::noise_table(&bench, &runs);
         let equations = problem::equations(&bench, &runs);
         let nuisances = problem::nuisances(&bench, &noise, &equations);
-        Self::set_up(bench, runs, nuisances)
+        Self::set_up(bench, runs, nuisances, known.to_vec(), (0.0, 0.0))
     }
 
-    fn set_up(bench: Bench, runs: Vec<Run>, nuisances: Vec<Nuisance>) -> Self {
+    fn set_up(
+        bench: Bench,
+        runs: Vec<Run>,
+        nuisances: Vec<Nuisance>,
+        known: Vec<Effect>,
+        encoder: (f64, f64),
+    ) -> Self {
         let noise = signals::noise_table(&bench, &runs);
         let of = |role: &[Role]| -> Vec<&Run> { runs.iter().filter(|r| role.contains(&r.role)).collect() };
         let used = of(&[Role::Fit, Role::HeldOut]);
         let used: Vec<Run> = used.into_iter().cloned().collect();
         let clock = Clock::new(&bench, &used, &noise);
         let equations = problem::equations(&bench, &used);
-        let constants = problem::constants(&bench, &clock);
+        let mut constants = problem::constants(&bench, &clock);
+        constants.encoder = encoder;
         let build = |runs: &[&Run]| Problem::new(&bench, runs, &clock, &noise, &equations, &nuisances);
         let mut fit = build(&of(&[Role::Fit]));
         let held = of(&[Role::HeldOut]);
         let mut held = (!held.is_empty()).then(|| build(&held));
         drop(used);
+        for p in [Some(&mut fit), held.as_mut()].into_iter().flatten() {
+            let hottest = fit::hottest(p);
+            for e in &known {
+                let (shape, amplitudes) = columns::parts(e, constants.effect.coulomb, hottest);
+                let r = Regressor::new(p, e.kind, &shape, &constants);
+                let linear = amplitudes.iter().zip(&r.linear);
+                for (a, column) in r.fixed.iter().map(|f| (1.0, f)).chain(linear.map(|(a, c)| (*a, c))) {
+                    p.y.iter_mut().zip(column).for_each(|(y, c)| *y -= a * c);
+                }
+            }
+        }
         let found = mains(&fit, &constants, &nuisances);
         for f in &found {
             for p in [Some(&mut fit), held.as_mut()].into_iter().flatten() {
@@ -73,6 +94,7 @@ impl Material {
             constants,
             fit,
             held,
+            known,
         }
     }
 
@@ -112,13 +134,9 @@ impl Material {
                 n.nominal *= factor;
             }
         }
-        let mut m = Self::set_up(bench, self.runs.clone(), nuisances);
-        m.constants.encoder = fit
-            .terms
-            .iter()
-            .find(|t| t.kind == EffectKind::EncoderEccentricity)
-            .map_or((0.0, 0.0), |t| (t.amplitudes[0], t.amplitudes[1]));
-        m
+        let sensor = fit.terms.iter().find(|t| t.kind == EffectKind::EncoderEccentricity);
+        let encoder = sensor.map_or(self.constants.encoder, |t| (t.amplitudes[0], t.amplitudes[1]));
+        Self::set_up(bench, self.runs.clone(), nuisances, self.known.clone(), encoder)
     }
 
     /// Standard deviations to begin with: what is left when only constants are re-tuned.
@@ -137,6 +155,7 @@ impl Material {
         let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, model.sigma);
         let mut all: Vec<Ranked> = kinds
             .par_iter()
+            .filter(|k| takes_several(**k) || !model.terms.iter().any(|t| t.kind == **k))
             .filter_map(|&k| {
                 let (term, score) = scan.best(k)?;
                 let gain = score.log_likelihood - scan.none.log_likelihood;
@@ -179,6 +198,14 @@ impl Material {
     pub fn has(&self, c: BenchChannel) -> bool {
         self.runs.iter().all(|r| r.channel(c).is_some())
     }
+}
+
+/// Kinds that an actuator may have more than once: several orders, several places.
+fn takes_several(kind: EffectKind) -> bool {
+    matches!(
+        kind,
+        EffectKind::Cogging | EffectKind::PeriodicFriction | EffectKind::TorqueRipple | EffectKind::TightSpot
+    )
 }
 
 /// Mains hum that stands out of the residual of an equation.

@@ -14,8 +14,17 @@ const AT_REST: f64 = 4.0;
 /// Share of the greatest speed that is never called motion (assumed).
 const CREEP: f64 = 1e-4;
 
-/// rms noise of each channel, one sample, SI at the motor.
-pub type NoiseTable = BTreeMap<BenchChannel, f64>;
+/// Noise of a channel.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ChannelNoise {
+    /// of one sample, SI at the motor
+    pub rms: f64,
+    /// correlation from sample to sample (first-order, 0 = white)
+    pub colour: f64,
+}
+
+/// Noise of each channel.
+pub type NoiseTable = BTreeMap<BenchChannel, ChannelNoise>;
 
 /// What is the same for all runs.
 #[derive(Clone, Debug)]
@@ -54,6 +63,8 @@ pub struct Signals {
     pub drive_rate: Vec<f64>,
     /// torque [N m], 0 where it is not measured
     pub load: Vec<f64>,
+    /// smooth enough that its magnitude is not that of its noise
+    pub load_level: Vec<f64>,
     pub has_load: bool,
     /// smoothed [degC]
     pub temperature: Option<Vec<f64>>,
@@ -90,7 +101,7 @@ impl Clock {
     pub fn new(bench: &Bench, runs: &[Run], noise: &NoiseTable) -> Self {
         let rate_hz = runs[0].rate_hz;
         let rig = &bench.rig;
-        let get = |c: BenchChannel| noise.get(&c).copied().unwrap_or(0.0);
+        let get = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
         let has = |c: BenchChannel| runs.iter().all(|r| r.channel(c).is_some());
         let drive = rig.drive_constant.value * get(rig.drive);
         let from_position = if has(BenchChannel::Position) && has(BenchChannel::Velocity) {
@@ -197,8 +208,7 @@ impl Signals {
         let user = at(BenchChannel::UserPosition);
         let law = law.map(|(command, law)| {
             let position = if law.on_user { user.as_ref().unwrap_or(&theta) } else { &theta };
-            let velocity = at(BenchChannel::Velocity).filter(|_| !law.differenced);
-            demanded(law, command, position, velocity.as_ref().unwrap_or(&omega), rate_hz)
+            demanded(law, command, position, &omega, rate_hz)
         });
         let temperature = run.channel(BenchChannel::Temperature);
         let temperature = temperature.map(|x| FilterBank::new(0.002 * rate_hz, rate_hz, 0.0).whole(0, x));
@@ -216,6 +226,11 @@ impl Signals {
             drive_rate: s.whole(1, raw),
             has_load: run.channel(BenchChannel::Load).is_some(),
             load: at(BenchChannel::Load).unwrap_or_else(|| vec![0.0; run.samples]),
+            load_level: match run.channel(BenchChannel::Load) {
+                Some(x) => FilterBank::smoother(3.0 * clock.smooth, rate_hz, clock.shift(bench, BenchChannel::Load))
+                    .whole(0, x),
+                None => vec![0.0; run.samples],
+            },
             temperature,
             voltage: at(BenchChannel::Voltage),
             supply: at(BenchChannel::VDc),

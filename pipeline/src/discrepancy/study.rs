@@ -1,7 +1,7 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
 use super::fit::{self, Fit, Term};
-use super::problem::Problem;
+use super::problem::{Nuisance, Problem};
 use super::remainder;
 use super::select::{Material, Ranked};
 use rand::{RngExt, SeedableRng};
@@ -15,15 +15,26 @@ pub const MOST_EFFECTS: usize = 4;
 const LEAST_GAIN: f64 = 15.0;
 /// Smallest share of the held-out energy of an equation that an effect must take away.
 const LEAST_SHARE: f64 = 0.01;
+/// Smallest share of what is left of the excess of some equation that an effect must explain: one
+/// that explains less is the nearest relative of something else (assumed).
+const LEAST_PART: f64 = 0.30;
+/// Gain of a candidate that is worth a look at pairs although the held-out data refuse it alone.
+const PAIR_GAIN: f64 = 60.0;
+/// Energy over that of the noise from which an equation has an excess.
+const WORTH: f64 = 1.25;
 /// Length of the blocks of the bootstrap [s].
 const BLOCK_S: f64 = 0.4;
 const DRAWS: usize = 400;
 /// An effect is named when it and those before it explain this share of the excess energy.
 pub const NAMED_SHARE: f64 = 0.70;
-/// With a leftover below this share of the excess, nothing remains to be named.
-pub const CLEAN_SHARE: f64 = 0.06;
+/// Where every equation has this share of its excess explained, nothing remains to be named.
+pub const CLEAN_SHARE: f64 = 0.85;
+/// Gap over the noise in torque or voltage beyond which nothing that was found is the cause (assumed).
+const FAR: f64 = 2.5;
+/// Energy over that of the noise that cannot be the noise's, with nothing found (assumed).
+const BEYOND: f64 = 2.5;
 /// A table that takes more than this share of an equation's energy has found something (assumed).
-pub const UNKNOWN_SHARE: f64 = 0.05;
+pub const UNKNOWN_SHARE: f64 = 0.10;
 
 /// How a study ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,22 +88,40 @@ pub struct Outcome {
     pub remainder: f64,
     /// kinds that cannot be told from the last one
     pub ambiguous_with: Vec<EffectKind>,
+    /// nuisance parameters around the model's own constants
+    pub first_nuisances: Vec<Nuisance>,
+    /// held-out energies by equation: nominal, re-tuned, with the effects
+    pub held_nominal: [f64; 5],
+    pub held_retuned: [f64; 5],
+    pub held_model: [f64; 5],
+    /// energies on the fit runs, only re-tuned
+    pub retuned_fit: [f64; 5],
+    /// residual rows on the held-out runs: re-tuned, with the effects; nominal, and its factor to the drive channel
+    pub held_residuals: (Vec<f64>, Vec<f64>),
+    pub held_nominal_residual: Vec<f64>,
+    pub nominal_to_channel: f64,
 }
 
-/// Share of the excess that was explained: by equation the energies gained and left, weighted by how
-/// much there was to explain.
-fn share(p: &Problem, before: &[f64; 5], after: &[f64; 5], left: &[f64; 5]) -> f64 {
+/// By equation: share of the held-out excess over the noise that was explained; `None` where there
+/// was none worth the name.
+pub fn shares(p: &Problem, before: &[f64; 5], after: &[f64; 5]) -> [Option<f64>; 5] {
+    std::array::from_fn(|e| {
+        let n = p.rows_of(Equation::ALL[e]) as f64;
+        let floor = n * p.floor[e].powi(2);
+        // the controller's own equation has no floor that is known
+        let floor = if Equation::ALL[e] == Equation::Controller { after[e].min(before[e]) } else { floor };
+        (n > 0.0 && before[e] > WORTH * floor).then(|| 1.0 - (after[e] - floor).max(0.0) / (before[e] - floor))
+    })
+}
+
+/// The shares as one: weighted by the logarithm of how far each equation was off.
+pub fn overall(p: &Problem, before: &[f64; 5], shares: &[Option<f64>; 5]) -> f64 {
     let (mut sum, mut weights) = (0.0, 0.0);
     for e in 0..5 {
-        let n = p.rows_of(Equation::ALL[e]) as f64;
-        if n == 0.0 || Equation::ALL[e] == Equation::Controller && before[e] < 1.5 * after[e] {
-            continue;
-        }
-        let gained = (before[e] - after[e]).max(0.0);
-        let excess = gained + left[e];
-        let weight = n * (1.0 + excess / (after[e] - left[e]).max(0.3 * n * p.floor[e].powi(2))).ln();
-        if excess > 0.0 && weight > 10.0 {
-            sum += weight * gained / excess;
+        if let Some(share) = shares[e] {
+            let n = p.rows_of(Equation::ALL[e]) as f64;
+            let weight = n * (before[e] / (n * p.floor[e].powi(2))).ln().max(0.1);
+            sum += weight * share;
             weights += weight;
         }
     }
@@ -175,11 +204,15 @@ fn untouched(m: &Material) -> Fit {
 pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     tell("re-tuning");
     let nominal = untouched(&material);
+    let held_nominal_residual = material.held_residual(&nominal);
+    let held_nominal = material.held_problem().energy(&held_nominal_residual);
+    let nominal_to_channel = 1.0 / material.bench.rig.drive_constant.value;
+    let first_nuisances = material.nuisances.clone();
     let mut m = material;
     let retuned0 = m.solve(&[], m.first_sigma());
     // the equations around the re-tuned constants, so that second order does not look like an effect
     m = m.around(&retuned0);
-    let retuned = m.solve(&[], m.first_sigma());
+    let mut retuned = m.solve(&[], m.first_sigma());
     let mut model = retuned.clone();
     let mut steps: Vec<Step> = Vec::new();
     let mut ambiguous_with = Vec::new();
@@ -197,10 +230,21 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         model = next;
         m = m.around(&model);
         model = m.polish(&m.solve(&model.terms, model.sigma), 1);
+        retuned = m.solve(&[], m.first_sigma());
     }
-    let (verdict, explained, remainder) = conclude(&m, &nominal, &retuned, &mut model, &steps, &ambiguous_with);
+    let (verdict, explained, remainder) = conclude(&m, &nominal, &retuned, &model, &ambiguous_with);
+    let held_residuals = (m.held_residual(&retuned), m.held_residual(&model));
+    let held = m.held_problem();
     Outcome {
         verdict,
+        first_nuisances,
+        held_nominal,
+        held_retuned: held.energy(&held_residuals.0),
+        held_model: held.energy(&held_residuals.1),
+        retuned_fit: retuned.score.energy,
+        held_residuals,
+        held_nominal_residual,
+        nominal_to_channel,
         material: m,
         nominal,
         retuned,
@@ -242,6 +286,20 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
         }
         out.get_or_insert(step);
     }
+    // two effects may each make the held-out data worse without the other
+    if best_gain > PAIR_GAIN && model.terms.len() + 2 <= MOST_EFFECTS {
+        let alone = &tried[0].0;
+        if let Some(second) = m.scan(alone, EffectKind::ALL).into_iter().next().filter(|r| r.gain > LEAST_GAIN) {
+            let mut terms = alone.terms.clone();
+            terms.push(second.term);
+            let pair = m.polish(&m.solve(&terms, alone.sigma), 1);
+            let gain = pair.score.log_likelihood - model.score.log_likelihood;
+            let step = judged(m, model, &pair, gain, &ranked);
+            if step.accepted {
+                return Some((step, pair, Vec::new()));
+            }
+        }
+    }
     Some((out?, tried[0].0.clone(), Vec::new()))
 }
 
@@ -258,6 +316,8 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked]) -
         "the held-out data do not get better"
     } else if worth < LEAST_SHARE {
         "too small to matter"
+    } else if part(m, &held_before, &held_after) < LEAST_PART {
+        "it explains little of what is left"
     } else {
         ""
     };
@@ -273,39 +333,73 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked]) -
     }
 }
 
+/// Greatest share of the excess over the noise that any equation loses on the held-out runs.
+fn part(m: &Material, before: &[f64; 5], after: &[f64; 5]) -> f64 {
+    let held = m.held_problem();
+    let of = |e: usize| {
+        let floor = held.rows_of(Equation::ALL[e]) as f64 * held.floor[e].powi(2);
+        let excess = before[e] - floor.min(after[e]);
+        if excess > 0.0 && before[e] - after[e] > LEAST_SHARE * before[e] { (before[e] - after[e]) / excess } else { 0.0 }
+    };
+    (0..5).map(of).fold(0.0, f64::max)
+}
+
 /// Greatest share that any equation loses.
 fn share_of_equations(before: &[f64; 5], after: &[f64; 5]) -> f64 {
     (0..5).filter(|e| before[*e] > 0.0).map(|e| 1.0 - after[e] / before[e]).fold(0.0, f64::max)
+}
+
+/// Whether what is left of the transmission's gap is slow: user and motor part company, which no
+/// spring and no play does.
+fn drifting(p: &Problem, residual: &[f64], gap: f64) -> bool {
+    let length = p.clock.rate_hz as usize;
+    let (mut slow, mut all) = (0.0, 0.0);
+    for b in p.blocks.iter().filter(|b| b.equation == Equation::Transmission) {
+        let mut seconds = std::collections::BTreeMap::<usize, (f64, f64)>::new();
+        for (row, &k) in b.rows.clone().zip(&b.samples) {
+            let s = seconds.entry(k / length).or_default();
+            *s = (s.0 + 1.0, s.1 + residual[row]);
+            all += residual[row].powi(2);
+        }
+        slow += seconds.values().map(|s| s.1 * s.1 / s.0).sum::<f64>();
+    }
+    gap > FAR * FAR && slow > 0.5 * all
 }
 
 fn conclude(
     m: &Material,
     nominal: &Fit,
     retuned: &Fit,
-    model: &mut Fit,
-    steps: &[Step],
+    model: &Fit,
     ambiguous: &[EffectKind],
 ) -> (Verdict, f64, f64) {
     let unnamed = m.unnamed(model);
     let held = m.held_problem();
     let before = held.energy(&m.held_residual(retuned));
     let after = held.energy(&m.held_residual(model));
-    let explained = share(held, &before, &after, &unnamed);
+    let by_equation = shares(held, &before, &after);
+    let explained = overall(held, &before, &by_equation);
+    let worst = by_equation.iter().flatten().fold(1.0, |a: f64, b| a.min(*b));
+    // an effect is not that which leaves its own equation unexplained
+    let own = |t: &Term| Equation::ALL.iter().position(|e| *e == t.kind.equation()).and_then(|e| by_equation[e]);
+    let stranger = model.terms.iter().filter_map(own).any(|s| s < NAMED_SHARE);
+    let gaps = m.over_floor(held, &after);
+    let far = gaps[..2].iter().any(|g| *g > FAR) || drifting(held, &m.held_residual(model), gaps[2]);
     // greatest share of an equation's energy that a table still takes
     let remainder = (0..5).filter(|e| after[*e] > 0.0).map(|e| unnamed[e] / after[e]).fold(0.0, f64::max);
     if model.terms.is_empty() {
-        // a table that finds much is an effect that the list does not have
-        if remainder > UNKNOWN_SHARE {
+        // what a table finds, or what is far beyond the noise, is an effect that the list does not have
+        let beyond = (0..4).any(|e| by_equation[e].is_some() && after[e] > BEYOND * held.rows_of(Equation::ALL[e]) as f64 * held.floor[e].powi(2));
+        if remainder > UNKNOWN_SHARE || beyond {
             return (Verdict::Unknown, 0.0, remainder);
         }
         let worse = (0..5).any(|e| nominal.score.energy[e] > 1.1 * retuned.score.energy[e]);
         let verdict = if worse { Verdict::Retune } else { Verdict::None };
         return (verdict, 0.0, remainder);
     }
-    let _ = steps;
-    let verdict = if explained < NAMED_SHARE {
+    let verdict = if explained < NAMED_SHARE || stranger || far {
         Verdict::Unknown
-    } else if 1.0 - explained > CLEAN_SHARE && remainder > UNKNOWN_SHARE {
+    } else if worst < CLEAN_SHARE {
         Verdict::NamedWithRemainder
     } else if !ambiguous.is_empty() {
         Verdict::Ambiguous

@@ -171,7 +171,7 @@ impl Effect {
             EffectKind::TorqueRipple
             | EffectKind::Eccentricity
             | EffectKind::TurnShort
-            | EffectKind::CommutationOffset => -c.torque_constant * s.current * self.constant_share(s, c),
+            | EffectKind::CommutationOffset => self.shared(s, c, self.constant_share(s, c)).0,
             EffectKind::CurrentOffset => a * c.torque_constant,
             EffectKind::CurrentGain => c.torque_constant * s.current * a / (1.0 + a),
             _ => self.friction(s, c) * s.sign,
@@ -187,15 +187,22 @@ impl Effect {
             EffectKind::DeadTime => 2.0 * self.leg_drop(s.current),
             EffectKind::CurrentOffset => -a * c.resistance,
             EffectKind::CurrentGain => -c.resistance * s.current * a / (1.0 + a),
-            EffectKind::TurnShort => {
-                let share = self.constant_share(s, c);
-                share * (c.resistance * s.current + c.inductance * s.current_rate + c.torque_constant * s.omega)
-            }
-            EffectKind::TorqueRipple | EffectKind::Eccentricity | EffectKind::CommutationOffset => {
-                c.torque_constant * s.omega * self.constant_share(s, c)
-            }
+            EffectKind::TurnShort
+            | EffectKind::TorqueRipple
+            | EffectKind::Eccentricity
+            | EffectKind::CommutationOffset => self.shared(s, c, self.constant_share(s, c)).1,
             _ => 0.0,
         }
+    }
+
+    /// Torque [N m] and voltage [V] of an effect that changes the torque constant by a share.
+    pub fn shared(&self, s: &Signals, c: &Constants, share: f64) -> (f64, f64) {
+        let mut voltage = c.torque_constant * s.omega;
+        if self.kind == EffectKind::TurnShort {
+            // so are resistance and inductance
+            voltage += c.resistance * s.current + c.inductance * s.current_rate;
+        }
+        (-c.torque_constant * s.current * share, share * voltage)
     }
 
     /// What is left of a phase's torque at its current `i` [A]; it does not turn its sign.

@@ -1,0 +1,131 @@
+//! `ema discrepancy`.
+
+use super::say;
+use crate::discrepancy::findings::Findings;
+use crate::discrepancy::{study_file, study_into};
+use crate::progress;
+use anyhow::Result;
+use clap::Args;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct DiscrepancyArgs {
+    /// The actuator's parameters: what the simulation believes
+    #[arg(long)]
+    model: PathBuf,
+    /// What was measured: a bench file (datasets/benches/README.md), or a recording of telemetry
+    #[arg(long)]
+    bench: PathBuf,
+    /// Folder for report.html, report.json and actuator.toml; nothing is written if left out
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// report.json on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
+    let bar = progress::spinner();
+    let tell = |text: &str| bar.set_message(text.to_string());
+    let (findings, written) = match &a.out {
+        Some(out) => {
+            let w = study_into(&a.model, &a.bench, out, &tell)?;
+            let written = [w.report, Some(out.join("report.json")), w.model];
+            (w.findings, written.into_iter().flatten().collect::<Vec<_>>())
+        }
+        None => (study_file(&a.model, &a.bench, &tell)?, Vec::new()),
+    };
+    bar.finish_and_clear();
+    if a.json {
+        say(&serde_json::to_string_pretty(&findings.to_json())?);
+    } else {
+        say(&to_text(&findings));
+        for path in written {
+            say(&format!("written: {}", path.display()));
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The findings on a terminal.
+fn to_text(f: &Findings) -> String {
+    let mut t = format!("{}\n{}\n", f.verdict.replace('_', " ").to_uppercase(), f.sentence);
+    for e in &f.effects {
+        t += &format!("\n{}   ({} equation; explains {:.0} %)\n", e.name, e.equation, 100.0 * e.explained_share);
+        for p in &e.parameters {
+            t += &format!("  {:12} {:>12.5} {:8} 95 % {:.5} to {:.5}\n", p.name, Short(p.value), p.unit, Short(p.lo), Short(p.hi));
+        }
+        if let Some(r) = &e.runner_up {
+            t += &format!("  runner-up: {r}\n");
+        }
+        if !e.ambiguous_with.is_empty() {
+            t += &format!("  cannot be told from: {}\n", e.ambiguous_with.join(", "));
+        }
+    }
+    if f.effects.is_empty() && f.verdict != "none" || !f.effects.is_empty() {
+        t += "\nconstants\n";
+        for p in &f.retuned {
+            let nominal = p.nominal.map_or(String::new(), |n| format!(" (was {:.5})", Short(n)));
+            t += &format!("  {:16} {:>12.5} {:12} 95 % {:.5} to {:.5}{nominal}\n", p.name, Short(p.value), p.unit, Short(p.lo), Short(p.hi));
+        }
+    }
+    if !f.by_channel.is_empty() {
+        t += "\ngap (rms)                     nominal    re-tuned       final       floor\n";
+        for c in &f.by_channel {
+            for (what, g) in [("fit", Some(c.fit)), ("held-out", c.heldout)] {
+                if let Some(g) = g {
+                    t += &format!(
+                        "  {:14} {:9} {:>11.4} {:>11.4} {:>11.4} {:>11.4} {}\n",
+                        c.channel,
+                        what,
+                        Short(g.nominal),
+                        Short(g.retuned),
+                        Short(g.last),
+                        Short(g.floor),
+                        c.unit
+                    );
+                }
+            }
+        }
+    }
+    if !f.regions.is_empty() {
+        t += "\nwhere (before any effect was added)\n";
+        for r in f.regions.iter().take(5) {
+            t += &format!("  {}\n", r.text);
+        }
+    }
+    if let Some(u) = &f.unnamed {
+        t += &format!("\n{u}\n");
+    }
+    if !f.not_excited.is_empty() {
+        t += "\nnot excited\n";
+        for (name, why) in &f.not_excited {
+            t += &format!("  {name}: {why}\n");
+        }
+    }
+    for (name, what) in &f.missing {
+        t += &format!("missing: {name} would open {what}\n");
+    }
+    if let Some(c) = &f.next_command {
+        t += &format!("\nnext: {c}\n  {}\n", f.next_reason);
+    }
+    t
+}
+
+/// A number with some significant digits.
+struct Short(f64);
+
+impl std::fmt::Display for Short {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let digits = f.precision().unwrap_or(4);
+        let x = self.0;
+        let text = if x != 0.0 && (x.abs() < 1e-3 || x.abs() >= 1e6) {
+            format!("{x:.*e}", digits - 1)
+        } else {
+            let before = if x == 0.0 { 1 } else { (x.abs().log10().floor() as i32 + 1).max(1) as usize };
+            format!("{x:.*}", digits.saturating_sub(before))
+        };
+        f.pad_integral(true, "", &text)
+    }
+}
