@@ -1,5 +1,7 @@
 //! What the end-to-end and validation tests share.
 
+pub mod blind;
+pub mod campaign;
 pub mod soak;
 pub mod stream;
 

@@ -184,9 +184,11 @@ pub struct RunSpec {
     pub file: PathBuf,
     pub role: Role,
     pub window_s: Option<(f64, f64)>,
-    /// column and value, as text
-    pub filter: Vec<(String, String)>,
+    /// column and values, any of which will do, as text
+    pub filter: Vec<(String, Vec<String>)>,
     pub split: Vec<String>,
+    /// each run stands at one speed and counts by the means of its pieces: a friction map
+    pub steady: bool,
 }
 
 /// A bench file.
@@ -397,7 +399,13 @@ fn rig(s: &mut Section, a: &ActuatorParameters) -> Result<Rig> {
         2.0 * a.phase_resistance_ohm,
         is("motor.phase_resistance_ohm"),
     )?;
-    let inductance = take(s, "inductance", Quantity::Inductance, 2.0 * a.phase_inductance_h, false)?;
+    let inductance = take(
+        s,
+        "inductance",
+        Quantity::Inductance,
+        2.0 * a.phase_inductance_h,
+        is("motor.phase_inductance_h"),
+    )?;
     let back_emf = take(s, "back_emf_constant", Quantity::BackEmf, kt, is("motor.back_emf_v_s_per_rad"))?;
     let offset = match s.raw("offset") {
         None => 0.0,
@@ -560,7 +568,14 @@ fn run_spec(t: &mut Section, dir: &Path) -> Result<RunSpec> {
         None => Vec::new(),
         Some(toml::Value::Table(w)) => w
             .iter()
-            .map(|(k, v)| (k.clone(), v.as_str().map_or_else(|| number(v).map_or_else(|| v.to_string(), |x| x.to_string()), str::to_string)))
+            .map(|(k, v)| {
+                let text = |v: &toml::Value| {
+                    let number = || number(v).map_or_else(|| v.to_string(), |x| x.to_string());
+                    v.as_str().map_or_else(number, str::to_string)
+                };
+                let values = v.as_array().map_or_else(|| vec![text(v)], |a| a.iter().map(text).collect());
+                (k.clone(), values)
+            })
             .collect(),
         Some(v) => return Err(t.bad("where", &v, "a table of columns and values")),
     };
@@ -569,12 +584,18 @@ fn run_spec(t: &mut Section, dir: &Path) -> Result<RunSpec> {
         Some(toml::Value::Array(a)) => a.iter().filter_map(|v| v.as_str().map(str::to_string)).collect(),
         Some(v) => return Err(t.bad("split", &v, "a list of columns")),
     };
+    let steady = match t.raw("steady") {
+        None => false,
+        Some(toml::Value::Boolean(b)) => b,
+        Some(v) => return Err(t.bad("steady", &v, "true or false")),
+    };
     Ok(RunSpec {
         file,
         role,
         window_s,
         filter,
         split,
+        steady,
     })
 }
 

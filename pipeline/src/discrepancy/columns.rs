@@ -31,6 +31,8 @@ pub struct RigConstants {
     pub supply_voltage: f64,
     /// the drive channel is a measured current
     pub measured_current: bool,
+    /// the drive channel goes through a motor, rather than being torque or force itself
+    pub motor: bool,
     /// speed and acceleration come from the position
     pub from_position: bool,
     /// error of the angle sensor as far as it is known: amplitudes of sine and cosine [rad]
@@ -228,6 +230,14 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
     let mut out = Contribution::default();
     let amplitude = |values: &[f64]| driven(&Effect::new(kind, values), s, c);
     match kind {
+        EffectKind::TorqueSaturation
+        | EffectKind::TorqueRipple
+        | EffectKind::Eccentricity
+        | EffectKind::CommutationOffset
+        | EffectKind::TurnShort
+        | EffectKind::CurrentOffset
+        | EffectKind::CurrentGain
+            if !c.motor => {}
         EffectKind::LoadDependentFriction if !s.has_load => {}
         EffectKind::TemperatureDependentFriction | EffectKind::WindingHeating if s.temperature.is_none() => {}
         EffectKind::WindingHeating => {
@@ -501,12 +511,22 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
     };
     let one = |v: Vec<f64>| -> Vec<Vec<f64>> { v.into_iter().map(|x| vec![x]).collect() };
     match kind {
+        // without an angle nothing goes with it
+        EffectKind::Eccentricity
+        | EffectKind::EncoderEccentricity
+        | EffectKind::SpringLoad
+        | EffectKind::ControlDelay
+        | EffectKind::TurnShort
+            if stroke == 0.0 =>
+        {
+            vec![]
+        }
         EffectKind::Stribeck => {
             let speeds = log(1e-3 * fastest, 0.4 * fastest, 9);
             speeds.iter().flat_map(|&w| [1.0, 2.0].map(|d| vec![w, d])).collect()
         }
         EffectKind::LubricatedRise => one(log(1e-3 * fastest, 0.3 * fastest, 9)),
-        EffectKind::TightSpot => {
+        EffectKind::TightSpot if stroke > 0.0 => {
             let mut out = Vec::new();
             for width in [0.02, 0.05, 0.12] {
                 let n = (0.8 / width) as usize;
@@ -519,10 +539,15 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             let orders = [0.5].into_iter().chain((1..=24).map(f64::from));
             one(orders.filter(|n| n * stroke > 1.2 * TAU).collect())
         }
-        EffectKind::Presliding => one(log(1e-5 * stroke.max(1.0), 0.05 * stroke, 9)),
-        EffectKind::CommutationOffset => {
+        EffectKind::Presliding if stroke > 0.0 => one(log(1e-5 * stroke.max(1.0), 0.05 * stroke, 9)),
+        EffectKind::CommutationOffset if stroke > 0.0 => {
             let angles = [-0.7, -0.45, -0.25, -0.12, 0.12, 0.25, 0.45, 0.7];
             angles.iter().flat_map(|&a| [0.0, 1.0].map(|f| vec![a, f])).collect()
+        }
+        EffectKind::Presliding | EffectKind::CommutationOffset | EffectKind::TightSpot | EffectKind::Compliance
+            if stroke == 0.0 =>
+        {
+            vec![]
         }
         EffectKind::Backlash => {
             let free = 1.0 / (0.5 * c.inertia);

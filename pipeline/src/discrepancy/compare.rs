@@ -108,7 +108,13 @@ fn stretches(r: &Record) -> Vec<Stretch> {
         (x[b] - x[a]) * r.rate_hz / (b - a).max(1) as f64
     };
     let speeds: Vec<f64> = (0..x.len()).map(speed).collect();
-    let greatest = speeds.iter().fold(1e-12f64, |m, v| m.max(v.abs()));
+    // the greatest, but for overshoot: the median of the faster half
+    let peak = largest(&speeds);
+    let mut fast: Vec<f64> = speeds.iter().map(|v| v.abs()).filter(|v| *v > 0.5 * peak).collect();
+    fast.sort_by(f64::total_cmp);
+    let Some(&greatest) = fast.get(fast.len() / 2) else {
+        return Vec::new();
+    };
     let class = |k: &usize| match speeds[*k].abs() / greatest {
         s if s >= STEADY => speeds[*k].signum(),
         s if s < STANDING => 0.0,
@@ -149,6 +155,10 @@ fn scatter(x: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
 
 fn rms(x: &[f64]) -> f64 {
     mean(x.iter().map(|x| x * x)).sqrt()
+}
+
+fn largest(d: &[f64]) -> f64 {
+    d.iter().fold(0.0, |m, d| m.max(d.abs()))
 }
 
 /// Greatest mean of three samples.
@@ -326,10 +336,6 @@ impl Table {
         let one = |(c, s): (&Column, &f64)| (c.mean(to) - c.mean(from)) / s;
         self.shape.iter().zip(scatter).map(one).collect()
     }
-}
-
-fn largest(d: &[f64]) -> f64 {
-    d.iter().fold(0.0, |m, d| m.max(d.abs()))
 }
 
 /// Random draws of `k` out of `pool`, after the rest.

@@ -115,6 +115,15 @@ impl FilterBank {
         }
     }
 
+    /// Lets values pass as they are and knows no derivatives: for samples that do not follow each other.
+    pub fn identity(rate_hz: f64) -> Self {
+        let kernel = |h: f64| Kernel { h: vec![h] };
+        Self {
+            order: [kernel(1.0), kernel(0.0), kernel(0.0)],
+            corner_hz: rate_hz,
+        }
+    }
+
     /// A light smoother: `h0*h0` with a standard deviation of `sigma` samples in all.
     pub fn smoother(sigma: f64, rate_hz: f64, shift_s: f64) -> Self {
         let each = sigma / std::f64::consts::SQRT_2;

@@ -133,6 +133,8 @@ pub struct Scan<'a> {
     pub basis: Basis,
     /// weighted left-hand side less everything fitted
     residual: Vec<f64>,
+    /// weighted drive torque
+    drive: Vec<f64>,
     /// standard deviation used for each equation
     sigma: [f64; 5],
     count: [f64; 5],
@@ -171,11 +173,13 @@ impl<'a> Scan<'a> {
         }
         basis.project(&mut residual);
         let count = Equation::ALL.map(|e| p.rows_of(e) as f64);
+        let drive = basis.extended(&p.drive);
         let mut scan = Self {
             problem: p,
             constants,
             basis,
             residual: Vec::new(),
+            drive,
             sigma,
             count,
             none: Score {
@@ -223,6 +227,9 @@ impl<'a> Scan<'a> {
         for c in &r.linear {
             let mut c = self.basis.extended(c);
             let before = dot(&c, &c);
+            if !self.constants.measured_current && self.is_regressand(kind, &c, before) {
+                return None;
+            }
             self.basis.project(&mut c);
             let after = dot(&c, &c);
             // hardly anything of its own: not excited, or the regressand in disguise
@@ -245,6 +252,14 @@ impl<'a> Scan<'a> {
             }
         }
         Some(self.scored(&rest, amplitudes))
+    }
+
+    /// Whether a column of an effect in the drive signal is the drive signal itself, which would explain
+    /// itself: more than 98 % of it.
+    fn is_regressand(&self, kind: EffectKind, column: &[f64], energy: f64) -> bool {
+        let of_drive = matches!(kind, EffectKind::TorqueSaturation | EffectKind::DeadTime | EffectKind::CurrentGain);
+        let s = dot(column, &self.drive);
+        of_drive && s * s > 0.9 * energy * dot(&self.drive, &self.drive)
     }
 
     /// The best shape of a kind: over its grid, then refined.

@@ -87,7 +87,7 @@ pub fn contribution(p: &Problem, m: &Material, term: &Term) -> Vec<f64> {
 
 /// Sums of `J^T W r` by block of time and by run.
 fn scores(p: &Problem, j: &[Vec<f64>], residual: &[f64], sigma: &[f64; 5], n: usize) -> (Vec<DVector<f64>>, Vec<DVector<f64>>) {
-    let length = (BLOCK_S * p.clock.rate_hz).max(1.0) as usize;
+    let length = p.clock.block(BLOCK_S);
     let mut blocks = std::collections::BTreeMap::<(usize, usize), DVector<f64>>::new();
     let mut runs = std::collections::BTreeMap::<usize, DVector<f64>>::new();
     for b in &p.blocks {

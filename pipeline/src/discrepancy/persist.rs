@@ -29,6 +29,7 @@ pub fn replaced(retuned: &[Identified], a: &ActuatorParameters, with_current: bo
             "torque_constant" if with_current => ("motor", "back_emf_v_s_per_rad", "V s/rad", 0.5 * r.value),
             "resistance" => ("motor", "phase_resistance_ohm", "ohm", 0.5 * r.value),
             "inductance" => ("motor", "phase_inductance_h", "H", 0.5 * r.value),
+            "play" => ("transmission", "backlash_half_width_rad", "rad", r.value.max(0.0) / a.gear_ratio),
             _ => continue,
         };
         out.push(Replaced {

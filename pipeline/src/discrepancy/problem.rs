@@ -53,6 +53,8 @@ pub struct Problem {
     pub rows: usize,
     /// left-hand side less the nominal model, SI
     pub y: Vec<f64>,
+    /// drive torque in the rows of the torque equation, 0 elsewhere
+    pub drive: Vec<f64>,
     /// columns of the nuisance parameters
     pub base: Vec<Vec<f64>>,
     /// columns of single runs: offsets of position, mains hum
@@ -81,6 +83,7 @@ pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
         back_emf: rig.back_emf.value,
         supply_voltage: rig.supply_voltage,
         measured_current: rig.drive == BenchChannel::Current,
+        motor: matches!(rig.drive, BenchChannel::Current | BenchChannel::Voltage),
         from_position: clock.from_position,
         encoder: (0.0, 0.0),
         speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
@@ -220,6 +223,7 @@ impl Problem {
             blocks,
             rows,
             y: vec![0.0; rows],
+            drive: vec![0.0; rows],
             base: Vec::new(),
             local: Vec::new(),
             floor: floors(bench, clock, noise, &bank),
@@ -247,6 +251,7 @@ impl Problem {
         let mut base = vec![vec![0.0; self.rows]; nuisances.len()];
         let mut y = vec![0.0; self.rows];
         let mut offsets = Vec::new();
+        let mut drive = vec![0.0; self.rows];
         let wide = |x: f64| if x > 0.0 { x } else { 1.0 };
         for block in &self.blocks {
             let (s, run) = (&self.signals[block.run], runs[block.run]);
@@ -279,6 +284,9 @@ impl Problem {
                     let (u, a, w) = (raw(rig.drive, 0), accel(), speed());
                     let du = raw(rig.drive, 1);
                     let (sign, load) = (common(0, &s.sign), common(0, &s.load));
+                    for (i, row) in block.rows.clone().enumerate() {
+                        drive[row] = kt * u[i];
+                    }
                     for i in 0..y.len() {
                         y[i] = kt * u[i] - load[i] - (j0 * a[i] + b0 * w[i] + tc * sign[i] + rig.offset);
                     }
@@ -342,6 +350,7 @@ impl Problem {
             }
         }
         self.y = y;
+        self.drive = drive;
         self.base = base;
         for rows in offsets {
             let mut c = vec![0.0; self.rows];

@@ -28,6 +28,10 @@ pub struct Run {
     pub hash: String,
     /// the columns of `split` and `where`, with their values
     pub labels: Vec<(String, String)>,
+    /// a friction map: samples are means at one speed each
+    pub steady: bool,
+    /// scatter of the means at one speed
+    pub spread: BTreeMap<BenchChannel, f64>,
 }
 
 impl Run {
@@ -49,6 +53,10 @@ pub fn read_runs(bench: &Bench) -> Result<Vec<Run>> {
             tables.insert(spec.file.clone(), Table::read(&spec.file)?.with_q_current());
         }
         let table = &tables[&spec.file];
+        if spec.steady {
+            runs.push(friction_map(bench, spec, table)?);
+            continue;
+        }
         for (labels, rows) in split(table, spec)? {
             runs.push(run(bench, spec, table, labels, &rows)?);
         }
@@ -56,28 +64,81 @@ pub fn read_runs(bench: &Bench) -> Result<Vec<Run>> {
     Ok(runs)
 }
 
+/// Pieces of a run at one speed.
+pub const PIECES: usize = 10;
+
+/// Runs at one speed each as one: the means of ten pieces of each, in the order of the speed.
+fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
+    let mut parts: Vec<(f64, Run)> = Vec::new();
+    let velocity = |r: &Run| -> Option<f64> {
+        let w = r.channel(BenchChannel::Velocity)?;
+        Some(w.iter().sum::<f64>() / w.len() as f64)
+    };
+    for (labels, rows) in split(table, spec)? {
+        let r = run(bench, spec, table, labels, &rows)?;
+        let allowed = "a channel `velocity` in runs that stand at one speed";
+        let w = velocity(&r).ok_or_else(|| Error::bad(&r.name, "channels", "no velocity", allowed))?;
+        parts.push((w, r));
+    }
+    parts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, first)) = parts.first() else {
+        return Err(Error::bad(&table.file, "run", "no rows", "at least one speed"));
+    };
+    let mut map = Run {
+        name: format!("{} ({} speeds)", spec.file.file_name().unwrap_or_default().to_string_lossy(), parts.len()),
+        rate_hz: 1.0,
+        start_s: 0.0,
+        samples: parts.len() * PIECES,
+        channels: BTreeMap::new(),
+        spread: BTreeMap::new(),
+        steady: true,
+        ..first.clone()
+    };
+    for c in first.channels.keys() {
+        let mut means = Vec::new();
+        let mut within = 0.0;
+        for (_, r) in &parts {
+            let x = &r.channels[c];
+            let each: Vec<f64> = (0..PIECES)
+                .map(|i| {
+                    let piece = &x[i * x.len() / PIECES..(i + 1) * x.len() / PIECES];
+                    piece.iter().sum::<f64>() / piece.len() as f64
+                })
+                .collect();
+            let mean = each.iter().sum::<f64>() / PIECES as f64;
+            within += each.iter().map(|m| (m - mean).powi(2)).sum::<f64>();
+            means.extend(each);
+        }
+        map.spread.insert(*c, (within / (parts.len() * (PIECES - 1)) as f64).sqrt());
+        map.channels.insert(*c, means);
+    }
+    Ok(map)
+}
+
 type Labels = Vec<(String, String)>;
 
 /// Rows of each run that a `[[run]]` makes of its file.
 fn split(table: &Table, spec: &RunSpec) -> Result<Vec<(Labels, Vec<usize>)>> {
     let mut rows: Vec<usize> = (0..table.rows).collect();
-    for (column, value) in &spec.filter {
+    for (column, values) in &spec.filter {
         let texts = table.texts(column)?;
-        rows.retain(|&r| texts[r] == *value);
+        rows.retain(|&r| values.contains(&texts[r]));
         if rows.is_empty() {
-            let found = format!("no row with {column} = {value}");
+            let found = format!("no row with {column} = {}", values.join(" or "));
             return Err(Error::bad(&table.file, "where", found, "a value that is there"));
         }
     }
+    let single = |f: &&(String, Vec<String>)| f.1.len() == 1;
+    let fixed: Labels = spec.filter.iter().filter(single).map(|(c, v)| (c.clone(), v[0].clone())).collect();
     if spec.split.is_empty() {
-        return Ok(vec![(spec.filter.clone(), rows)]);
+        return Ok(vec![(fixed, rows)]);
     }
     let keys = spec.split.iter().map(|c| table.texts(c));
     let keys = keys.collect::<Result<Vec<_>>>()?;
     let mut groups: Vec<(Labels, Vec<usize>)> = Vec::new();
     for r in rows {
         let values = spec.split.iter().zip(&keys).map(|(c, k)| (c.clone(), k[r].clone()));
-        let labels: Labels = spec.filter.iter().cloned().chain(values).collect();
+        let labels: Labels = fixed.iter().cloned().chain(values).collect();
         match groups.iter_mut().find(|(l, _)| *l == labels) {
             Some((_, rows)) => rows.push(r),
             None => groups.push((labels, vec![r])),
@@ -115,7 +176,7 @@ fn run(bench: &Bench, spec: &RunSpec, table: &Table, labels: Labels, rows: &[usi
     let mut steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
     let order = n.saturating_sub(1) / 2;
     let median = *steps.select_nth_unstable_by(order, f64::total_cmp).1;
-    if let Some(k) = (1..n).find(|&k| time[k] - time[k - 1] > JUMP * median) {
+    if let Some(k) = (1..n).find(|&k| !spec.steady && time[k] - time[k - 1] > JUMP * median) {
         let found = format!("a step of {:.6} s where {:.6} s is usual", time[k] - time[k - 1], median);
         return Err(bad(clock(k), found, "a steady clock (it jumped; cut the run with `window_s`)"));
     }
@@ -153,6 +214,8 @@ fn run(bench: &Bench, spec: &RunSpec, table: &Table, labels: Labels, rows: &[usi
         channels,
         hash: table.hash.clone(),
         labels,
+        steady: false,
+        spread: BTreeMap::new(),
     })
 }
 
@@ -173,6 +236,14 @@ fn evened(time: &[f64], x: &[f64], step: f64) -> Vec<f64> {
 
 /// Noise of a channel, resolution included; SI at the motor.
 pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
+    let spreads: Vec<f64> = runs.iter().filter_map(|r| r.spread.get(&spec.channel)).copied().collect();
+    if !spreads.is_empty() {
+        let mean = spreads.iter().map(|s| s * s).sum::<f64>() / spreads.len() as f64;
+        return ChannelNoise {
+            rms: mean.sqrt(),
+            colour: 0.0,
+        };
+    }
     let grain = spec.resolution / 12f64.sqrt();
     let white = match spec.noise {
         Noise::Known(x) => x,

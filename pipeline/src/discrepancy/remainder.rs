@@ -98,10 +98,12 @@ struct Table {
 }
 
 impl Table {
-    fn new(p: &Problem, e: Equation) -> Self {
+    /// * `with_drive` the drive channel is a signal of its own, not the left-hand side itself
+    fn new(p: &Problem, e: Equation, with_drive: bool) -> Self {
         let mut columns = 0;
         let mut all = Vec::new();
-        for r in [Regressor::Speed, Regressor::Position, Regressor::Drive, Regressor::Acceleration, Regressor::Load, Regressor::Temperature] {
+        let signals = [Regressor::Speed, Regressor::Position, Regressor::Drive, Regressor::Acceleration, Regressor::Load, Regressor::Temperature];
+        for r in signals.into_iter().filter(|r| with_drive || *r != Regressor::Drive) {
             let edges = edges(p, e, r, BINS);
             if edges.len() > 1 {
                 let n = edges.len() + 1;
@@ -132,8 +134,15 @@ impl Table {
 
 /// Energy that a table takes out of the residual of an equation on `held` after learning on `fit`
 /// (negative where it only learns noise), in the unit of the equation squared times rows.
-pub fn gained(fit: &Problem, residual: &[f64], held: &Problem, held_residual: &[f64], e: Equation) -> f64 {
-    let table = Table::new(fit, e);
+pub fn gained(
+    fit: &Problem,
+    residual: &[f64],
+    held: &Problem,
+    held_residual: &[f64],
+    e: Equation,
+    with_drive: bool,
+) -> f64 {
+    let table = Table::new(fit, e, with_drive);
     let n = table.columns;
     let mut gram = vec![0.0; n * n];
     let mut right = vec![0.0; n];

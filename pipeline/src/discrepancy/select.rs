@@ -177,7 +177,7 @@ impl Material {
                 let (y, further) = fit::assembled(&self.fit, &regs);
                 let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, sigma);
                 if let Some(score) = scan.score(terms[i].kind, &terms[i].shape) {
-                    terms[i] = scan.refined(terms[i].kind, &terms[i].shape, &score, 60).0;
+                    terms[i] = whole(scan.refined(terms[i].kind, &terms[i].shape, &score, 60).0);
                 }
             }
             let fit = self.solve(&terms, sigma);
@@ -198,6 +198,18 @@ impl Material {
     pub fn has(&self, c: BenchChannel) -> bool {
         self.runs.iter().all(|r| r.channel(c).is_some())
     }
+}
+
+/// An order within a fiftieth of a whole one is that: teeth, slots and poles come in whole numbers.
+fn whole(mut t: Term) -> Term {
+    let periodic = matches!(
+        t.kind,
+        EffectKind::Cogging | EffectKind::PeriodicFriction | EffectKind::TorqueRipple
+    );
+    if periodic && t.shape[0] >= 1.0 && (t.shape[0] - t.shape[0].round()).abs() < 0.02 {
+        t.shape[0] = t.shape[0].round();
+    }
+    t
 }
 
 /// Kinds that an actuator may have more than once: several orders, several places.

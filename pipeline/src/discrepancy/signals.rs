@@ -41,6 +41,8 @@ pub struct Clock {
     smooth: f64,
     /// the moment all signals are brought to, before their time stamp [s]
     shift_s: f64,
+    /// samples are means at one speed each
+    pub steady: bool,
 }
 
 /// One run on the common clock, at the rate of the measurement.
@@ -100,6 +102,18 @@ impl Clock {
     /// * `inertia` J [kg m2], `drive_constant` torque of a drive unit
     pub fn new(bench: &Bench, runs: &[Run], noise: &NoiseTable) -> Self {
         let rate_hz = runs[0].rate_hz;
+        if runs[0].steady {
+            return Self {
+                rate_hz,
+                corner_hz: rate_hz,
+                stride: 1,
+                from_position: false,
+                speed_noise: 0.0,
+                smooth: 0.0,
+                shift_s: 0.0,
+                steady: true,
+            };
+        }
         let rig = &bench.rig;
         let get = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
         let has = |c: BenchChannel| runs.iter().all(|r| r.channel(c).is_some());
@@ -153,16 +167,28 @@ impl Clock {
             speed_noise: speed_noise_of(smooth).max(CREEP * fastest),
             smooth,
             shift_s: lateness(drive_spec.mean, rate_hz, drive_spec.delay_s),
+            steady: false,
         }
+    }
+
+    /// Samples in a block that is as good as independent of the next.
+    pub fn block(&self, seconds: f64) -> usize {
+        if self.steady { recording::PIECES } else { ((seconds * self.rate_hz) as usize).max(1) }
     }
 
     /// The filters for a channel.
     pub fn bank(&self, bench: &Bench, c: BenchChannel) -> FilterBank {
+        if self.steady {
+            return self.common();
+        }
         FilterBank::new(self.corner_hz, self.rate_hz, self.shift(bench, c))
     }
 
     /// The filters for signals that are on the common clock already.
     pub fn common(&self) -> FilterBank {
+        if self.steady {
+            return FilterBank::identity(self.rate_hz);
+        }
         FilterBank::new(self.corner_hz, self.rate_hz, 0.0)
     }
 
@@ -173,6 +199,40 @@ impl Clock {
     }
 }
 
+impl Signals {
+    /// A friction map.
+    fn steady(bench: &Bench, run: &Run) -> Self {
+        let n = run.samples;
+        let get = |c: BenchChannel| run.channel(c).map(<[f64]>::to_vec);
+        let omega = get(BenchChannel::Velocity).unwrap_or_else(|| vec![0.0; n]);
+        let load = get(BenchChannel::Load).unwrap_or_else(|| vec![0.0; n]);
+        Self {
+            n,
+            rate_hz: run.rate_hz,
+            start_s: 0.0,
+            theta: vec![0.0; n],
+            accel: vec![0.0; n],
+            sign: omega.iter().map(|w| w.signum()).collect(),
+            resting: vec![false; n],
+            drive: get(bench.rig.drive).expect("checked when read"),
+            drive_rate: vec![0.0; n],
+            has_load: run.channel(BenchChannel::Load).is_some(),
+            load_level: load.clone(),
+            load,
+            temperature: get(BenchChannel::Temperature),
+            voltage: None,
+            supply: None,
+            position: vec![0.0; n],
+            user: None,
+            velocity: None,
+            command: None,
+            law: None,
+            rest: 0.0,
+            omega,
+        }
+    }
+}
+
 fn lateness(mean: bool, rate_hz: f64, delay_s: f64) -> f64 {
     delay_s + if mean { 0.5 / rate_hz } else { 0.0 }
 }
@@ -180,6 +240,9 @@ fn lateness(mean: bool, rate_hz: f64, delay_s: f64) -> f64 {
 impl Signals {
     pub fn new(bench: &Bench, run: &Run, clock: &Clock) -> Self {
         let rate_hz = clock.rate_hz;
+        if clock.steady {
+            return Self::steady(bench, run);
+        }
         let at = |c: BenchChannel| -> Option<Vec<f64>> {
             run.channel(c).map(|x| shifted(x, clock.shift(bench, c) * rate_hz))
         };

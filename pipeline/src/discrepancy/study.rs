@@ -1,5 +1,6 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
+use super::bench::Noise;
 use super::fit::{self, Fit, Term};
 use super::problem::{Nuisance, Problem};
 use super::remainder;
@@ -22,6 +23,8 @@ const LEAST_PART: f64 = 0.30;
 const PAIR_GAIN: f64 = 60.0;
 /// Energy over that of the noise from which an equation has an excess.
 const WORTH: f64 = 1.25;
+/// Candidates that a second one is tried with.
+const PAIRS: usize = 4;
 /// Length of the blocks of the bootstrap [s].
 const BLOCK_S: f64 = 0.4;
 const DRAWS: usize = 400;
@@ -30,7 +33,7 @@ pub const NAMED_SHARE: f64 = 0.70;
 /// Where every equation has this share of its excess explained, nothing remains to be named.
 pub const CLEAN_SHARE: f64 = 0.85;
 /// Gap over the noise in torque or voltage beyond which nothing that was found is the cause (assumed).
-const FAR: f64 = 2.5;
+const FAR: f64 = 3.5;
 /// Energy over that of the noise that cannot be the noise's, with nothing found (assumed).
 const BEYOND: f64 = 2.5;
 /// A table that takes more than this share of an equation's energy has found something (assumed).
@@ -132,7 +135,7 @@ impl Material {
     /// Held-out gain of one model over another: whether it holds in 97.5 % of block draws.
     fn held_gain(&self, before: &[f64], after: &[f64], sigma: &[f64; 5]) -> (f64, f64) {
         let held = self.held.as_ref().unwrap_or(&self.fit);
-        let length = (BLOCK_S * self.clock.rate_hz) as usize;
+        let length = self.clock.block(BLOCK_S);
         let mut blocks: std::collections::BTreeMap<(usize, usize), f64> = Default::default();
         for b in &held.blocks {
             let e = Equation::ALL.iter().position(|x| *x == b.equation).expect("one of all");
@@ -169,7 +172,7 @@ impl Material {
             if self.fit.rows_of(e) == 0 || e == Equation::Controller {
                 return 0.0;
             }
-            remainder::gained(&self.fit, &fit.residual, self.held_problem(), &held, e).max(0.0)
+            remainder::gained(&self.fit, &fit.residual, self.held_problem(), &held, e, self.constants.measured_current).max(0.0)
         })
     }
 }
@@ -288,12 +291,21 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
     }
     // two effects may each make the held-out data worse without the other
     if best_gain > PAIR_GAIN && model.terms.len() + 2 <= MOST_EFFECTS {
-        let alone = &tried[0].0;
-        if let Some(second) = m.scan(alone, EffectKind::ALL).into_iter().next().filter(|r| r.gain > LEAST_GAIN) {
-            let mut terms = alone.terms.clone();
+        let mut pairs: Vec<(Fit, f64)> = Vec::new();
+        for first in ranked.iter().take(PAIRS).filter(|r| r.gain > 0.15 * best_gain) {
+            let mut terms = model.terms.clone();
+            terms.push(first.term.clone());
+            let alone = m.solve(&terms, model.sigma);
+            let Some(second) = m.scan(&alone, EffectKind::ALL).into_iter().next().filter(|r| r.gain > LEAST_GAIN) else {
+                continue;
+            };
             terms.push(second.term);
-            let pair = m.polish(&m.solve(&terms, alone.sigma), 1);
+            let pair = m.polish(&m.solve(&terms, alone.sigma), 2);
             let gain = pair.score.log_likelihood - model.score.log_likelihood;
+            pairs.push((pair, gain));
+        }
+        pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
+        for (pair, gain) in pairs {
             let step = judged(m, model, &pair, gain, &ranked);
             if step.accepted {
                 return Some((step, pair, Vec::new()));
@@ -310,7 +322,12 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked]) -
     let (mean, low) = m.held_gain(&before, &after, &next.sigma);
     let (held_before, held_after) = (held.energy(&before), held.energy(&after));
     let worth = share_of_equations(&held_before, &held_after);
-    let why_not = if gain < LEAST_GAIN {
+    // a mass, a friction below zero is no machine
+    let below = |name: &str| m.nuisances.iter().zip(&next.nuisance).any(|(n, x)| n.name == name && n.nominal > 0.0 && *x <= -1.0);
+    let impossible = ["inertia", "viscous", "coulomb", "resistance"].into_iter().any(below);
+    let why_not = if impossible {
+        "a constant of the machine would have to be negative"
+    } else if gain < LEAST_GAIN {
         "no more than chance gives"
     } else if low <= 0.0 {
         "the held-out data do not get better"
@@ -352,7 +369,7 @@ fn share_of_equations(before: &[f64; 5], after: &[f64; 5]) -> f64 {
 /// Whether what is left of the transmission's gap is slow: user and motor part company, which no
 /// spring and no play does.
 fn drifting(p: &Problem, residual: &[f64], gap: f64) -> bool {
-    let length = p.clock.rate_hz as usize;
+    let length = p.clock.block(1.0);
     let (mut slow, mut all) = (0.0, 0.0);
     for b in p.blocks.iter().filter(|b| b.equation == Equation::Transmission) {
         let mut seconds = std::collections::BTreeMap::<usize, (f64, f64)>::new();
@@ -379,17 +396,26 @@ fn conclude(
     let after = held.energy(&m.held_residual(model));
     let by_equation = shares(held, &before, &after);
     let explained = overall(held, &before, &by_equation);
-    let worst = by_equation.iter().flatten().fold(1.0, |a: f64, b| a.min(*b));
+    // an equation that was off before, or that an effect has touched
+    let counts = |e: usize| {
+        let floor = held.rows_of(Equation::ALL[e]) as f64 * held.floor[e].powi(2);
+        before[e] > BEYOND * floor || (before[e] - after[e]).abs() > 0.05 * before[e]
+    };
+    let counted = (0..5).filter(|e| counts(*e)).filter_map(|e| by_equation[e]);
+    let worst = counted.fold(1.0, |a: f64, b| a.min(b));
     // an effect is not that which leaves its own equation unexplained
     let own = |t: &Term| Equation::ALL.iter().position(|e| *e == t.kind.equation()).and_then(|e| by_equation[e]);
     let stranger = model.terms.iter().filter_map(own).any(|s| s < NAMED_SHARE);
     let gaps = m.over_floor(held, &after);
-    let far = gaps[..2].iter().any(|g| *g > FAR) || drifting(held, &m.held_residual(model), gaps[2]);
+    // only what the sensors are known to add can be held against a name
+    let drive = m.bench.channel(m.bench.rig.drive);
+    let stated = drive.is_some_and(|d| matches!(d.noise, Noise::Known(_)));
+    let far = stated && gaps[..2].iter().any(|g| *g > FAR) || drifting(held, &m.held_residual(model), gaps[2]);
     // greatest share of an equation's energy that a table still takes
     let remainder = (0..5).filter(|e| after[*e] > 0.0).map(|e| unnamed[e] / after[e]).fold(0.0, f64::max);
     if model.terms.is_empty() {
         // what a table finds, or what is far beyond the noise, is an effect that the list does not have
-        let beyond = (0..4).any(|e| by_equation[e].is_some() && after[e] > BEYOND * held.rows_of(Equation::ALL[e]) as f64 * held.floor[e].powi(2));
+        let beyond = stated && (0..4).any(|e| by_equation[e].is_some() && after[e] > BEYOND * held.rows_of(Equation::ALL[e]) as f64 * held.floor[e].powi(2));
         if remainder > UNKNOWN_SHARE || beyond {
             return (Verdict::Unknown, 0.0, remainder);
         }

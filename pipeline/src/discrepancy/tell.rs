@@ -23,7 +23,7 @@ fn channel(m: &Material, e: Equation) -> (&'static str, &'static str) {
             _ => (drive.name(), "N m"),
         },
         Equation::Electrical => ("voltage", "V"),
-        Equation::Transmission => ("user_position", "rad (motor side)"),
+        Equation::Transmission => ("user_position", "rad"),
         Equation::Kinematic => ("velocity", "rad/s"),
         Equation::Controller => ("command", "drive unit/s"),
     }
@@ -228,7 +228,7 @@ fn regions(m: &Material, fit: &Fit) -> Vec<Region> {
             continue;
         }
         let mut found: Vec<Region> = Vec::new();
-        for r in Regressor::ALL {
+        for r in Regressor::ALL.into_iter().filter(|r| m.constants.measured_current || *r != Regressor::Drive) {
             let absolute = matches!(r, Regressor::Speed | Regressor::Drive | Regressor::Acceleration | Regressor::Load);
             for size in [false, true] {
                 if size && !absolute {
@@ -326,7 +326,7 @@ fn leaders(o: &Outcome) -> Vec<Leader> {
     for (i, s) in o.steps.iter().enumerate() {
         for (j, r) in s.ranked.iter().take(7).enumerate() {
             let e = fit::effect_of(&r.term, &m.constants, &m.fit);
-            let parameters: Vec<String> = e.parameters().map(|(k, v)| format!("{} {v:.4} {}", k.name, k.unit).replace(" -", "")).collect();
+            let parameters: Vec<String> = e.parameters().map(|(k, v)| told(k.name, v, k.unit)).collect();
             let by = shares(&m.fit, &s.before, &r.score.energy);
             let own = by[index(r.term.kind.equation())].or(by.into_iter().flatten().next()).unwrap_or(0.0);
             let note = match (j, s.accepted) {
@@ -441,6 +441,9 @@ fn profiles(o: &Outcome) -> Vec<Profile> {
     let mut scored: Vec<(f64, Profile)> = Vec::new();
     for &e in m.equations.iter().filter(|e| **e != Equation::Controller) {
         for r in [Regressor::Speed, Regressor::Position, Regressor::Turn, Regressor::Drive, Regressor::Acceleration, Regressor::Load, Regressor::Temperature] {
+            if r == Regressor::Drive && !m.constants.measured_current {
+                continue;
+            }
             let edges = remainder::edges(p, e, r, 24);
             if edges.len() < 8 {
                 continue;
@@ -520,7 +523,23 @@ fn facts(o: &Outcome) -> Vec<(String, String)> {
     let shown = if runs.len() > 8 { format!("{} runs", runs.len()) } else { runs.join("; ") };
     let masked: usize = m.fit.blocks.iter().filter(|b| b.equation == Equation::Torque).map(|b| b.masked).sum();
     let rows = m.fit.rows_of(Equation::Torque);
+    let p = m.held_problem();
+    let bank = m.clock.common();
+    let (mut sum, mut count) = (0.0, 0.0);
+    for b in p.blocks.iter().filter(|b| b.equation == Equation::Torque) {
+        for &k in &b.samples {
+            sum += bank.order[0].at(&p.signals[b.run].drive, k).powi(2);
+            count += 1.0;
+        }
+    }
+    let drive = (sum / f64::max(count, 1.0)).sqrt();
+    let e = index(Equation::Torque);
+    let relative = |energy: &[f64; 5], kt: f64| format!("{:.3} %", 100.0 * (energy[e] / f64::max(count, 1.0)).sqrt() * kt / drive);
+    let kt = 1.0 / m.bench.rig.drive_constant.value;
+    let (nominal, retuned, last) =
+        (relative(&o.held_nominal, o.nominal_to_channel), relative(&o.held_retuned, kt), relative(&o.held_model, kt));
     vec![
+        ("relative error of the drive signal".into(), format!("nominal {nominal}, re-tuned {retuned}, final {last}")),
         ("runs".into(), shown),
         ("sampling".into(), format!("{:.4} Hz; filters to {:.3} Hz", m.clock.rate_hz, m.clock.corner_hz)),
         ("equations".into(), m.equations.iter().map(|e| e.name()).collect::<Vec<_>>().join(", ")),
@@ -540,13 +559,23 @@ fn assumptions(m: &Material) -> Vec<String> {
     out
 }
 
+/// A parameter in a few digits.
+fn told(name: &str, x: f64, unit: &str) -> String {
+    let digits = if x != 0.0 && (x.abs() < 1e-3 || x.abs() >= 1e5) { format!("{x:.3e}") } else { format!("{x:.4}") };
+    if unit == "-" { format!("{name} {digits}") } else { format!("{name} {digits} {unit}") }
+}
+
 fn sentence(o: &Outcome, f: &Findings) -> String {
     let held = if o.material.held.is_some() { "held-out" } else { "fit (there are no held-out)" };
     let gap = f.gap.as_ref().map(|g| {
         let l = g.heldout.unwrap_or(g.fit);
         format!(
-            "the gap in {} on {held} data went from {:.4} {u} (nominal) over {:.4} {u} (re-tuned) to {:.4} {u}, with a noise floor of {:.4} {u}",
-            g.channel, l.nominal, l.retuned, l.last, l.floor, u = g.unit
+            "the gap in {} on {held} data went from {} (nominal) over {} (re-tuned) to {}, with a noise floor of {}",
+            g.channel,
+            told("", l.nominal, &g.unit).trim(),
+            told("", l.retuned, &g.unit).trim(),
+            told("", l.last, &g.unit).trim(),
+            told("", l.floor, &g.unit).trim()
         )
     });
     let gap = gap.unwrap_or_default();
@@ -554,7 +583,7 @@ fn sentence(o: &Outcome, f: &Findings) -> String {
         .effects
         .iter()
         .map(|e| {
-            let values: Vec<String> = e.parameters.iter().map(|p| format!("{} {:.4} {}", p.name, p.value, p.unit).trim_end_matches(" -").to_string()).collect();
+            let values: Vec<String> = e.parameters.iter().map(|p| told(&p.name, p.value, &p.unit)).collect();
             format!("{} ({})", e.name, values.join(", "))
         })
         .collect();
