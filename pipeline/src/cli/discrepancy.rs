@@ -52,9 +52,21 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
 fn to_text(f: &Findings) -> String {
     let mut t = format!("{}\n{}\n", f.verdict.replace('_', " ").to_uppercase(), f.sentence);
     for e in &f.effects {
-        t += &format!("\n{}   ({} equation; explains {:.0} %)\n", e.name, e.equation, 100.0 * e.explained_share);
+        t += &format!(
+            "\n{}   ({} equation; explains {:.0} %)\n",
+            e.name,
+            e.equation,
+            100.0 * e.explained_share
+        );
         for p in &e.parameters {
-            t += &format!("  {:12} {:>12.5} {:8} 95 % {:.5} to {:.5}\n", p.name, Short(p.value), p.unit, Short(p.lo), Short(p.hi));
+            t += &format!(
+                "  {:12} {:>12.5} {:8} 95 % {:.5} to {:.5}\n",
+                p.name,
+                Short(p.value),
+                p.unit,
+                Short(p.lo),
+                Short(p.hi)
+            );
         }
         if let Some(r) = &e.runner_up {
             t += &format!("  runner-up: {r}\n");
@@ -67,7 +79,14 @@ fn to_text(f: &Findings) -> String {
         t += "\nconstants\n";
         for p in &f.retuned {
             let nominal = p.nominal.map_or(String::new(), |n| format!(" (was {:.5})", Short(n)));
-            t += &format!("  {:16} {:>12.5} {:12} 95 % {:.5} to {:.5}{nominal}\n", p.name, Short(p.value), p.unit, Short(p.lo), Short(p.hi));
+            t += &format!(
+                "  {:16} {:>12.5} {:12} 95 % {:.5} to {:.5}{nominal}\n",
+                p.name,
+                Short(p.value),
+                p.unit,
+                Short(p.lo),
+                Short(p.hi)
+            );
         }
     }
     if !f.by_channel.is_empty() {
@@ -123,7 +142,11 @@ impl std::fmt::Display for Short {
         let text = if x != 0.0 && (x.abs() < 1e-3 || x.abs() >= 1e6) {
             format!("{x:.*e}", digits - 1)
         } else {
-            let before = if x == 0.0 { 1 } else { (x.abs().log10().floor() as i32 + 1).max(1) as usize };
+            let before = if x == 0.0 {
+                1
+            } else {
+                (x.abs().log10().floor() as i32 + 1).max(1) as usize
+            };
             format!("{x:.*}", digits.saturating_sub(before))
         };
         f.pad_integral(true, "", &text)

@@ -88,6 +88,8 @@ pub enum Noise {
 pub struct ChannelSpec {
     pub channel: BenchChannel,
     pub column: String,
+    /// a column to be taken off it
+    pub minus: Option<String>,
     /// to SI at the motor
     pub factor: f64,
     /// mean over the sample that ends at the time stamp, rather than the value at it
@@ -200,6 +202,9 @@ pub struct Bench {
     pub runs: Vec<RunSpec>,
 }
 
+/// Pieces of a recording that is a bench by itself.
+const PIECES: usize = 8;
+
 const NOT_BELOW: &str = "a finite number of at least 0";
 const UP: &str = "a finite number above 0";
 
@@ -248,7 +253,7 @@ impl Bench {
         Self::read(path, actuator)
     }
 
-    /// The bench that a recording of telemetry is: its first two thirds to find, the rest to prove.
+    /// The bench that a recording of telemetry is: every other piece to find, the rest to prove.
     fn of_recording(path: &Path, actuator: &ActuatorParameters) -> Result<Self> {
         let (names, duration_s, runs) = super::own::columns(path)?;
         let mut text = String::from("[rig]\nkind = \"rotary\"\ndrive = \"current\"\n");
@@ -264,9 +269,17 @@ impl Bench {
         text += &super::own::channels(&names);
         for r in runs {
             let run = r.map_or(String::new(), |r| format!("where = {{ run = {r} }}\n"));
-            let cut = 0.65 * duration_s;
-            let file = path.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
-            for (role, from, to) in [("fit", 0.0, cut), ("heldout", cut, duration_s + 1.0)] {
+            let file = path
+                .file_name()
+                .map(|f| f.to_string_lossy().into_owned())
+                .unwrap_or_default();
+            // every other piece proves what the others found: each has its share of every segment
+            for i in 0..PIECES {
+                let (from, to) = (
+                    duration_s * i as f64 / PIECES as f64,
+                    duration_s * (i + 1) as f64 / PIECES as f64,
+                );
+                let role = if i % 2 == 0 { "fit" } else { "heldout" };
                 text += &format!("[[run]]\nfile = {file:?}\nrole = \"{role}\"\nwindow_s = [{from:?}, {to:?}]\n{run}");
             }
         }
@@ -317,7 +330,12 @@ impl Bench {
         for needed in [BenchChannel::Time, bench.rig.drive] {
             if bench.channel(needed).is_none() && !bench.is_comparison() {
                 let found = format!("no channel `{}`", needed.name());
-                return Err(Error::bad(&bench.file, "key `channels`", found, "time, position and the drive signal"));
+                return Err(Error::bad(
+                    &bench.file,
+                    "key `channels`",
+                    found,
+                    "time, position and the drive signal",
+                ));
             }
         }
         s.finish()?;
@@ -382,7 +400,13 @@ fn rig(s: &mut Section, a: &ActuatorParameters) -> Result<Rig> {
         if direct { 1.0 } else { kt },
         identified_kt,
     )?;
-    let inertia = take(s, "inertia", Quantity::Inertia, a.inertia_kg_m2, is("motor.inertia_kg_m2"))?;
+    let inertia = take(
+        s,
+        "inertia",
+        Quantity::Inertia,
+        a.inertia_kg_m2,
+        is("motor.inertia_kg_m2"),
+    )?;
     let viscous = take(
         s,
         "viscous",
@@ -406,7 +430,13 @@ fn rig(s: &mut Section, a: &ActuatorParameters) -> Result<Rig> {
         2.0 * a.phase_inductance_h,
         is("motor.phase_inductance_h"),
     )?;
-    let back_emf = take(s, "back_emf_constant", Quantity::BackEmf, kt, is("motor.back_emf_v_s_per_rad"))?;
+    let back_emf = take(
+        s,
+        "back_emf_constant",
+        Quantity::BackEmf,
+        kt,
+        is("motor.back_emf_v_s_per_rad"),
+    )?;
     let offset = match s.raw("offset") {
         None => 0.0,
         Some(v) => {
@@ -421,7 +451,11 @@ fn rig(s: &mut Section, a: &ActuatorParameters) -> Result<Rig> {
         }
     };
     let gear_ratio = known(s, "gear_ratio", Quantity::None, None, Some(a.gear_ratio))?.map_or(1.0, |k| k.value);
-    let gear_ratio = if linear && !s.has("gear_ratio") { 1.0 } else { gear_ratio };
+    let gear_ratio = if linear && !s.has("gear_ratio") {
+        1.0
+    } else {
+        gear_ratio
+    };
     let whole = |x: f64| x.fract() == 0.0 && (1.0..=100.0).contains(&x);
     let pole_pairs = s.number_or("pole_pairs", a.pole_pairs as f64, whole, "a whole number from 1 to 100")?;
     let supply_voltage = s.number_or("supply_voltage", a.supply_voltage_v, |x| x > 0.0, UP)?;
@@ -522,6 +556,11 @@ fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) -> Result<Cha
     };
     let delay_s = t.number_or("delay_s", 0.0, |x| x.abs() < 1.0, "a number within 1 s")?;
     let size = factor.abs();
+    let minus = if t.has("minus") {
+        Some(t.text("minus", "the name of a column")?)
+    } else {
+        None
+    };
     let resolution = t.number_or("resolution", 0.0, |x| x >= 0.0, NOT_BELOW)? * size;
     let noise = match t.raw("noise") {
         None if resolution > 0.0 => Noise::Known(0.0),
@@ -535,6 +574,7 @@ fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) -> Result<Cha
     Ok(ChannelSpec {
         channel,
         column,
+        minus,
         factor,
         mean,
         delay_s,
@@ -557,7 +597,10 @@ fn run_spec(t: &mut Section, dir: &Path) -> Result<RunSpec> {
     let window_s = match t.raw("window_s") {
         None => None,
         Some(v) => {
-            let pair: Vec<f64> = v.as_array().map(|a| a.iter().filter_map(number).collect()).unwrap_or_default();
+            let pair: Vec<f64> = v
+                .as_array()
+                .map(|a| a.iter().filter_map(number).collect())
+                .unwrap_or_default();
             match pair[..] {
                 [a, b] if a < b => Some((a, b)),
                 _ => return Err(t.bad("window_s", &v, "[from, to] in s, from before to")),
@@ -573,7 +616,9 @@ fn run_spec(t: &mut Section, dir: &Path) -> Result<RunSpec> {
                     let number = || number(v).map_or_else(|| v.to_string(), |x| x.to_string());
                     v.as_str().map_or_else(number, str::to_string)
                 };
-                let values = v.as_array().map_or_else(|| vec![text(v)], |a| a.iter().map(text).collect());
+                let values = v
+                    .as_array()
+                    .map_or_else(|| vec![text(v)], |a| a.iter().map(text).collect());
                 (k.clone(), values)
             })
             .collect(),
@@ -608,6 +653,10 @@ fn expanded(t: &mut Section, key: &str) -> Result<PathBuf> {
     let (name, rest) = rest.split_once('/').unwrap_or((rest, ""));
     match std::env::var(name) {
         Ok(dir) => Ok(Path::new(&dir).join(rest)),
-        Err(_) => Err(t.bad(key, format!("${name}, which is not set"), "a path, or a variable that is set")),
+        Err(_) => Err(t.bad(
+            key,
+            format!("${name}, which is not set"),
+            "a path, or a variable that is set",
+        )),
     }
 }

@@ -10,7 +10,10 @@ use schemas::error::{Error, Result};
 const FACTORS: [(f64, &str); 9] = [
     (1000.0, "a factor of 1000: milli or kilo"),
     (1e6, "a factor of 1e6: micro, or a time in ms"),
-    (std::f64::consts::TAU, "a factor of 2 pi: turns for rad, or Hz for rad/s"),
+    (
+        std::f64::consts::TAU,
+        "a factor of 2 pi: turns for rad, or Hz for rad/s",
+    ),
     (60.0, "a factor of 60: per minute for per second"),
     (60.0 / std::f64::consts::TAU, "a factor of 60/(2 pi): rpm for rad/s"),
     (180.0 / std::f64::consts::PI, "a factor of 57.3: degrees for rad"),
@@ -51,16 +54,29 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
     let rate = runs[0].rate_hz;
     for run in runs.iter().filter(|r| !r.steady) {
         let file = &run.name;
-        let column = |c: C| bench.channel(c).map_or_else(String::new, |s| format!("channel `{}`, column `{}`", c.name(), s.column));
+        let column = |c: C| {
+            bench.channel(c).map_or_else(String::new, |s| {
+                format!("channel `{}`, column `{}`", c.name(), s.column)
+            })
+        };
         if (run.rate_hz / rate - 1.0).abs() > 0.02 {
             let found = format!("{:.3} Hz where {} has {rate:.3} Hz", run.rate_hz, runs[0].name);
-            return Err(Error::bad(file, column(C::Time), found, "one sampling rate in all runs"));
+            return Err(Error::bad(
+                file,
+                column(C::Time),
+                found,
+                "one sampling rate in all runs",
+            ));
         }
         let range = |x: &[f64]| x.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
         for c in [C::Position, C::Velocity] {
             if let (Some(x), Some(spec)) = (run.channel(c), bench.channel(c)) {
                 let (low, high) = range(x);
-                let still = if c == C::Position { (5.0 * spec.resolution).max(1e-9) } else { 1e-9 };
+                let still = if c == C::Position {
+                    (5.0 * spec.resolution).max(1e-9)
+                } else {
+                    1e-9
+                };
                 if high - low <= still {
                     let found = format!("{low:e} to {high:e} over the whole run: it never moves");
                     return Err(Error::bad(file, column(c), found, "a run in which the actuator moves"));
@@ -81,36 +97,73 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
             let w = smooth.whole(0, w);
             let (g, r) = slope(s, &w);
             if r.abs() < 0.3 {
-                let found = format!("a correlation of {r:.2} with the speed of the position (likely cause: swapped columns)");
-                return Err(Error::bad(file, column(C::Velocity), found, "the velocity that belongs to the position"));
+                let found =
+                    format!("a correlation of {r:.2} with the speed of the position (likely cause: swapped columns)");
+                return Err(Error::bad(
+                    file,
+                    column(C::Velocity),
+                    found,
+                    "the velocity that belongs to the position",
+                ));
             }
             if !(0.5..2.0).contains(&g) {
-                let why = if g < 0.0 && (0.5..2.0).contains(&-g) { "reversed sign".into() } else { cause(g, gear) };
-                let found = format!("{g:.4} times the speed of the position (likely cause: {why}, of position, velocity or time)");
+                let why = if g < 0.0 && (0.5..2.0).contains(&-g) {
+                    "reversed sign".into()
+                } else {
+                    cause(g, gear)
+                };
+                let found = format!(
+                    "{g:.4} times the speed of the position (likely cause: {why}, of position, velocity or time)"
+                );
                 return Err(Error::bad(file, column(C::Velocity), found, "0.5 to 2 times"));
             }
         }
-        for (c, least) in [(C::UserPosition, 0.8), (C::Command, 0.7)] {
-            let (Some(x), Some(p)) = (run.channel(c), run.channel(C::Position)) else { continue };
+        for (c, least) in [(C::UserPosition, 0.8), (C::Command, 0.9)] {
+            // what lags behind its command says nothing in a short time
+            if c == C::Command && run.duration_s() < 1.5 {
+                continue;
+            }
+            let (Some(x), Some(p)) = (run.channel(c), run.channel(C::Position)) else {
+                continue;
+            };
             let (g, r) = slope(x, p);
             if c == C::UserPosition && r.abs() < 0.5 {
                 let found = format!("a correlation of {r:.2} with the position (likely cause: swapped columns)");
                 return Err(Error::bad(file, column(c), found, "the user's side of the same motion"));
             }
             if r.abs() > least && !(0.4..2.5).contains(&g) {
-                let why = if g < 0.0 { "reversed sign".into() } else { cause(g, gear) };
-                let found = format!("the motor's position is {g:.4} times it (likely cause: {why}, of {} or position)", c.name());
-                return Err(Error::bad(file, column(c), found, "0.4 to 2.5 times, both brought to the motor"));
+                let why = if g < 0.0 {
+                    "reversed sign".into()
+                } else {
+                    cause(g, gear)
+                };
+                let found = format!(
+                    "the motor's position is {g:.4} times it (likely cause: {why}, of {} or position)",
+                    c.name()
+                );
+                return Err(Error::bad(
+                    file,
+                    column(c),
+                    found,
+                    "0.4 to 2.5 times, both brought to the motor",
+                ));
             }
         }
-        if let (Some(v), Some(w)) = (run.channel(C::Voltage), speed.as_ref().or(run.channel(C::Velocity).map(|x| x.to_vec()).as_ref()))
-            && bench.rig.drive == C::Current
+        if let (Some(v), Some(w)) = (
+            run.channel(C::Voltage),
+            speed.as_ref().or(run.channel(C::Velocity).map(|x| x.to_vec()).as_ref()),
+        ) && bench.rig.drive == C::Current
         {
             let (g, r) = slope(w, &smooth.whole(0, v));
             let ratio = g / bench.rig.back_emf.value;
             if r.abs() > 0.7 && !(0.2..5.0).contains(&ratio) {
-                let why = if ratio < 0.0 { "reversed sign".into() } else { cause(ratio, gear) };
-                let found = format!("{ratio:.4} times what the back-EMF makes (likely cause: {why}, of voltage or speed)");
+                let why = if ratio < 0.0 {
+                    "reversed sign".into()
+                } else {
+                    cause(ratio, gear)
+                };
+                let found =
+                    format!("{ratio:.4} times what the back-EMF makes (likely cause: {why}, of voltage or speed)");
                 return Err(Error::bad(file, column(C::Voltage), found, "0.2 to 5 times"));
             }
         }
@@ -125,15 +178,28 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
 fn drive(bench: &Bench, run: &Run, smooth: &FilterBank, speed: Option<Vec<f64>>) -> Result<()> {
     use BenchChannel as C;
     let rig = &bench.rig;
-    let Some(spec) = bench.channel(rig.drive) else { return Ok(()) };
+    let Some(spec) = bench.channel(rig.drive) else {
+        return Ok(());
+    };
     let Some(u) = run.channel(rig.drive) else { return Ok(()) };
     let place = format!("channel `{}`, column `{}`", rig.drive.name(), spec.column);
     let (w, a) = match (run.channel(C::Position), run.channel(C::Velocity)) {
         (Some(x), _) => (speed.expect("there is a position"), smooth.whole(2, x)),
         (None, Some(w)) => (smooth.whole(0, w), smooth.whole(1, w)),
-        _ => return Err(Error::bad(&run.name, "channels", "neither position nor velocity", "one of them")),
+        _ => {
+            return Err(Error::bad(
+                &run.name,
+                "channels",
+                "neither position nor velocity",
+                "one of them",
+            ));
+        }
     };
-    let u: Vec<f64> = smooth.whole(0, u).iter().map(|u| u * rig.drive_constant.value).collect();
+    let u: Vec<f64> = smooth
+        .whole(0, u)
+        .iter()
+        .map(|u| u * rig.drive_constant.value)
+        .collect();
     let load = run.channel(C::Load).map(|x| smooth.whole(0, x));
     let fastest = w.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
     // moving clearly: friction has its sign, and standing samples tell nothing
@@ -142,7 +208,12 @@ fn drive(bench: &Bench, run: &Run, smooth: &FilterBank, speed: Option<Vec<f64>>)
     let mut r = nalgebra::Vector4::<f64>::zeros();
     let mut energy = 0.0;
     for &k in &rows {
-        let x = nalgebra::Vector4::new(a[k] * rig.inertia.value, w[k] * rig.viscous.value.max(1e-12), w[k].signum() * rig.coulomb.value.max(1e-12), 1.0);
+        let x = nalgebra::Vector4::new(
+            a[k] * rig.inertia.value,
+            w[k] * rig.viscous.value.max(1e-12),
+            w[k].signum() * rig.coulomb.value.max(1e-12),
+            1.0,
+        );
         let y = u[k] - load.as_ref().map_or(0.0, |l| l[k]);
         g += x * x.transpose();
         r += x * y;
@@ -150,20 +221,33 @@ fn drive(bench: &Bench, run: &Run, smooth: &FilterBank, speed: Option<Vec<f64>>)
     }
     let scale = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
     let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (scale[i] * scale[j]) + if i == j { 1e-9 } else { 0.0 });
-    let Some(solved) = unit.cholesky().map(|c| c.solve(&r.component_div(&scale))) else { return Ok(()) };
+    let Some(solved) = unit.cholesky().map(|c| c.solve(&r.component_div(&scale))) else {
+        return Ok(());
+    };
     let x = solved.component_div(&scale);
     // share of the torque's energy that the inertia term makes: too little tells nothing
     let inertial = x[0] * x[0] * g[(0, 0)] / energy.max(1e-300);
     let frictional = x[2] * x[2] * g[(2, 2)] / energy.max(1e-300);
     let told = inertial > 0.02;
-    if (told && x[0] < 0.0 && (x[2] < 0.0 || frictional < 0.05)) || (x[2] < 0.0 && frictional > 0.2 && (x[0] < 0.0 || !told)) {
+    if (told && x[0] < 0.0 && (x[2] < 0.0 || frictional < 0.05))
+        || (x[2] < 0.0 && frictional > 0.2 && (x[0] < 0.0 || !told))
+    {
         let found = "a torque against the motion (likely cause: reversed sign of the drive signal or of the position)";
-        return Err(Error::bad(&run.name, place, found, "torque, speed and position of one sense"));
+        return Err(Error::bad(
+            &run.name,
+            place,
+            found,
+            "torque, speed and position of one sense",
+        ));
     }
     if told && rig.inertia.trust != Some(0.0) && !(0.25..4.0).contains(&x[0]) {
         let ratio = x[0];
         let same = rig.coulomb.value > 0.0 && (0.4..2.5).contains(&(x[2] / ratio));
-        let of = if same { "of the drive signal or its constant" } else { "of position or time, or of the inertia" };
+        let of = if same {
+            "of the drive signal or its constant"
+        } else {
+            "of position or time, or of the inertia"
+        };
         let found = format!(
             "an inertia of {ratio:.4} times the nominal one (likely cause: {}, {of})",
             cause(if same { ratio } else { 1.0 / ratio }, rig.gear_ratio)

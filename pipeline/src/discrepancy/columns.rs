@@ -98,9 +98,11 @@ fn moments<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = effe
         current: s.drive[k],
         current_rate: s.drive_rate[k],
         load: s.load_level[k],
-        temperature: s.temperature.as_ref().map_or(effect::REFERENCE_TEMPERATURE_DEGC, |t| t[k]),
-        duty: s.voltage.as_ref().map_or(0.0, |v| v[k])
-            / s.supply.as_ref().map_or(c.supply_voltage, |v| v[k].max(1e-3)),
+        temperature: s
+            .temperature
+            .as_ref()
+            .map_or(effect::REFERENCE_TEMPERATURE_DEGC, |t| t[k]),
+        duty: s.voltage.as_ref().map_or(0.0, |v| v[k]) / s.supply.as_ref().map_or(c.supply_voltage, |v| v[k].max(1e-3)),
     })
 }
 
@@ -151,11 +153,16 @@ fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
         }
         EffectKind::Eccentricity | EffectKind::TurnShort | EffectKind::CommutationOffset => {
             let share = mean_share(e, s, c);
-            let (t, v) = moments(s, c).zip(share).map(|(m, share)| e.shared(&m, &c.effect, share)).unzip();
+            let (t, v) = moments(s, c)
+                .zip(share)
+                .map(|(m, share)| e.shared(&m, &c.effect, share))
+                .unzip();
             (t, electrical.then_some(v))
         }
         _ => {
-            let torque = moments(s, c).map(|m| e.torque(&m, &c.effect) * blur(e, &m, s)).collect();
+            let torque = moments(s, c)
+                .map(|m| e.torque(&m, &c.effect) * blur(e, &m, s))
+                .collect();
             let other = matches!(
                 e.kind,
                 EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::DeadTime | EffectKind::SupplySag
@@ -261,7 +268,10 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             out.linear = forms.map(|f| encoder(s, c, f)).into();
         }
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
-            out.linear = vec![amplitude(&[1.0, 0.0, shape[0]]), amplitude(&[1.0, -FRAC_PI_2, shape[0]])];
+            out.linear = vec![
+                amplitude(&[1.0, 0.0, shape[0]]),
+                amplitude(&[1.0, -FRAC_PI_2, shape[0]]),
+            ];
         }
         EffectKind::Eccentricity => {
             out.linear = vec![amplitude(&[1.0, 0.0]), amplitude(&[1.0, -FRAC_PI_2])];
@@ -269,7 +279,11 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         EffectKind::CommutationOffset => {
             // the angle that is measured is the one commutated by (0), or the true one (1)
             let turned = Signals {
-                theta: s.theta.iter().map(|t| t - (1.0 - shape[1]) * shape[0] / c.effect.pole_pairs).collect(),
+                theta: s
+                    .theta
+                    .iter()
+                    .map(|t| t - (1.0 - shape[1]) * shape[0] / c.effect.pole_pairs)
+                    .collect(),
                 ..s.clone()
             };
             out.fixed = driven(&Effect::new(kind, &shape[..1]), &turned, c);
@@ -296,7 +310,10 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         }
         EffectKind::Presliding => {
             let sliding = dahl(s, shape[0]);
-            let signal = sliding.iter().zip(&s.sign).map(|(z, sign)| c.effect.coulomb * (z - sign));
+            let signal = sliding
+                .iter()
+                .zip(&s.sign)
+                .map(|(z, sign)| c.effect.coulomb * (z - sign));
             out.linear.push(vec![Piece {
                 equation: Equation::Torque,
                 order: 0,
@@ -319,7 +336,10 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
                     signal: signal.collect(),
                 });
                 // what the motor feels of the load beyond a rigid shaft: its friction, its inertia
-                let turned = speed.iter().zip(&s.sign).map(|(w, sign)| if *w == 0.0 { -sign } else { w.signum() - sign });
+                let turned = speed
+                    .iter()
+                    .zip(&s.sign)
+                    .map(|(w, sign)| if *w == 0.0 { -sign } else { w.signum() - sign });
                 let slower = speed.iter().zip(&s.omega).map(|(w, m)| w - m);
                 for (order, signal) in [(0, turned.collect()), (1, slower.collect())] {
                     out.linear.push(vec![Piece {
@@ -348,7 +368,9 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         EffectKind::TorqueSaturation => {
             // linear while the torque still rises with the current
             let mut column = amplitude(&[SMALL]);
-            column.iter_mut().for_each(|p| p.signal.iter_mut().for_each(|x| *x /= SMALL));
+            column
+                .iter_mut()
+                .for_each(|p| p.signal.iter_mut().for_each(|x| *x /= SMALL));
             out.linear.push(column);
         }
         EffectKind::ControlDelay => {
@@ -398,7 +420,11 @@ fn dahl(s: &Signals, distance: f64) -> Vec<f64> {
             let x = w.abs() * dt / distance;
             // exact for a constant speed over the sample; the mean over it
             z = end + (z - end) * (-x).exp();
-            if x > 1e-9 { end + (before - end) * -(-x).exp_m1() / x } else { z }
+            if x > 1e-9 {
+                end + (before - end) * -(-x).exp_m1() / x
+            } else {
+                z
+            }
         })
         .collect()
 }
@@ -507,7 +533,9 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
     let fastest = all(|s| &s.omega).fold(0.0, |a: f64, x| a.max(x.abs()));
     let stroke = high - low;
     let log = |from: f64, to: f64, n: usize| -> Vec<f64> {
-        (0..n).map(|i| from * (to / from).powf(i as f64 / (n - 1) as f64)).collect()
+        (0..n)
+            .map(|i| from * (to / from).powf(i as f64 / (n - 1) as f64))
+            .collect()
     };
     let one = |v: Vec<f64>| -> Vec<Vec<f64>> { v.into_iter().map(|x| vec![x]).collect() };
     match kind {
@@ -553,7 +581,9 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             let free = 1.0 / (0.5 * c.inertia);
             let gaps = log(1e-5 * stroke, 0.1 * stroke, 12);
             let slow = [1e6, 3e3, 3e2];
-            gaps.iter().flat_map(|&g| slow.map(|d| vec![g, d, if d > 1e5 { 0.0 } else { free }])).collect()
+            gaps.iter()
+                .flat_map(|&g| slow.map(|d| vec![g, d, if d > 1e5 { 0.0 } else { free }]))
+                .collect()
         }
         EffectKind::Compliance => {
             let rate = runs[0].rate_hz;
@@ -599,7 +629,10 @@ fn deflected(runs: &[Signals]) -> Option<(f64, f64)> {
     }
     let det = g[0][0] * g[1][1] - g[0][1] * g[1][0];
     let (a, b) = if det > 1e-9 * g[0][0] * g[1][1] {
-        ((r[0] * g[1][1] - r[1] * g[0][1]) / det, (r[1] * g[0][0] - r[0] * g[0][1]) / det)
+        (
+            (r[0] * g[1][1] - r[1] * g[0][1]) / det,
+            (r[1] * g[0][0] - r[0] * g[0][1]) / det,
+        )
     } else {
         return None;
     };
@@ -632,10 +665,14 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
     match kind {
         EffectKind::Stribeck => vec![(1e-4 * fastest, 0.7 * fastest), (0.8, 2.2)],
         EffectKind::LubricatedRise => vec![(1e-4 * fastest, 0.5 * fastest)],
-        EffectKind::TightSpot => vec![(low - 0.05 * stroke, high + 0.05 * stroke), (0.004 * stroke, 0.25 * stroke)],
+        EffectKind::TightSpot => vec![
+            (low - 0.05 * stroke, high + 0.05 * stroke),
+            (0.004 * stroke, 0.25 * stroke),
+        ],
         EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke)],
         EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1.0, 1e7), (0.0, 1e7)],
-        EffectKind::CommutationOffset => vec![(-1.5, 1.5), (0.0, 1.0)],
+        // beyond, a third of the torque is gone and the motor hardly runs
+        EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
         EffectKind::TurnShort => vec![(0.0, 2.0)],
         EffectKind::ControlDelay => vec![(1e-6, 0.5)],

@@ -25,7 +25,11 @@ pub struct Regressor {
 
 impl Regressor {
     pub fn new(p: &Problem, kind: EffectKind, shape: &[f64], c: &RigConstants) -> Self {
-        let parts: Vec<_> = p.signals.iter().map(|s| columns::contribution(kind, shape, s, c)).collect();
+        let parts: Vec<_> = p
+            .signals
+            .iter()
+            .map(|s| columns::contribution(kind, shape, s, c))
+            .collect();
         let fixed: Vec<_> = parts.iter().map(|x| &x.fixed).collect();
         let fixed = fixed.iter().any(|f| !f.is_empty());
         let count = parts.iter().map(|x| x.linear.len()).max().unwrap_or(0);
@@ -257,7 +261,10 @@ impl<'a> Scan<'a> {
     /// Whether a column of an effect in the drive signal is the drive signal itself, which would explain
     /// itself: more than 98 % of it.
     fn is_regressand(&self, kind: EffectKind, column: &[f64], energy: f64) -> bool {
-        let of_drive = matches!(kind, EffectKind::TorqueSaturation | EffectKind::DeadTime | EffectKind::CurrentGain);
+        let of_drive = matches!(
+            kind,
+            EffectKind::TorqueSaturation | EffectKind::DeadTime | EffectKind::CurrentGain
+        );
         let s = dot(column, &self.drive);
         of_drive && s * s > 0.9 * energy * dot(&self.drive, &self.drive)
     }
@@ -265,8 +272,11 @@ impl<'a> Scan<'a> {
     /// The best shape of a kind: over its grid, then refined.
     pub fn best(&self, kind: EffectKind) -> Option<(Term, Score)> {
         let shapes = columns::grid(kind, &self.problem.signals, self.constants);
-        let scored: Vec<(Vec<f64>, Score)> =
-            shapes.into_par_iter().filter(|s| self.inside(kind, s)).filter_map(|s| self.score(kind, &s).map(|x| (s, x))).collect();
+        let scored: Vec<(Vec<f64>, Score)> = shapes
+            .into_par_iter()
+            .filter(|s| self.inside(kind, s))
+            .filter_map(|s| self.score(kind, &s).map(|x| (s, x)))
+            .collect();
         let better = |a: &&(Vec<f64>, Score), b: &&(Vec<f64>, Score)| a.1.log_likelihood.total_cmp(&b.1.log_likelihood);
         let (shape, score) = scored.iter().max_by(better)?;
         Some(self.refined(kind, shape, score, 40))
@@ -287,15 +297,29 @@ impl<'a> Scan<'a> {
         };
         let mut best = (shape.to_vec(), score.clone());
         if !free.is_empty() {
-            let start: Vec<f64> = free.iter().map(|&i| if scales[i] == Some(true) { shape[i].ln() } else { shape[i] }).collect();
-            let step: Vec<f64> = free.iter().map(|&i| match (kind, scales[i]) {
-                (EffectKind::TightSpot, Some(false)) => 0.5 * shape[1],
-                (EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple, _) => self.order_step(),
-                (EffectKind::Stribeck, Some(false)) => 0.3,
-                (EffectKind::Backlash, Some(false)) => 0.3 * shape[i].max(1e3),
-                (_, Some(true)) => 0.35,
-                _ => 0.08,
-            }).collect();
+            let start: Vec<f64> = free
+                .iter()
+                .map(|&i| {
+                    if scales[i] == Some(true) {
+                        shape[i].ln()
+                    } else {
+                        shape[i]
+                    }
+                })
+                .collect();
+            let step: Vec<f64> = free
+                .iter()
+                .map(|&i| match (kind, scales[i]) {
+                    (EffectKind::TightSpot, Some(false)) => 0.5 * shape[1],
+                    (EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple, _) => {
+                        self.order_step()
+                    }
+                    (EffectKind::Stribeck, Some(false)) => 0.3,
+                    (EffectKind::Backlash, Some(false)) => 0.3 * shape[i].max(1e3),
+                    (_, Some(true)) => 0.35,
+                    _ => 0.08,
+                })
+                .collect();
             simplex(&start, &step, steps, |x| {
                 let s = plain(x);
                 match self.score(kind, &s).filter(|_| self.inside(kind, &s)) {
@@ -367,7 +391,9 @@ pub fn simplex(start: &[f64], step: &[f64], calls: usize, mut f: impl FnMut(&[f6
         if spread.abs() < 1e-3 {
             break;
         }
-        let centre: Vec<f64> = (0..n).map(|i| points[..n].iter().map(|p| p.0[i]).sum::<f64>() / n as f64).collect();
+        let centre: Vec<f64> = (0..n)
+            .map(|i| points[..n].iter().map(|p| p.0[i]).sum::<f64>() / n as f64)
+            .collect();
         let at = |t: f64| -> Vec<f64> { (0..n).map(|i| centre[i] + t * (points[n].0[i] - centre[i])).collect() };
         let mut call = |x: Vec<f64>| {
             used += 1;
@@ -381,7 +407,11 @@ pub fn simplex(start: &[f64], step: &[f64], calls: usize, mut f: impl FnMut(&[f6
         } else if reflected.1 < points[n - 1].1 {
             points[n] = reflected;
         } else {
-            let contracted = if reflected.1 < points[n].1 { call(at(-0.5)) } else { call(at(0.5)) };
+            let contracted = if reflected.1 < points[n].1 {
+                call(at(-0.5))
+            } else {
+                call(at(0.5))
+            };
             if contracted.1 < points[n].1.min(reflected.1) {
                 points[n] = contracted;
             } else {
@@ -409,7 +439,10 @@ pub struct Fit {
 
 /// The model's regressors on a problem.
 pub fn regressors(p: &Problem, terms: &[Term], c: &RigConstants) -> Vec<Regressor> {
-    terms.par_iter().map(|t| Regressor::new(p, t.kind, &t.shape, c)).collect()
+    terms
+        .par_iter()
+        .map(|t| Regressor::new(p, t.kind, &t.shape, c))
+        .collect()
 }
 
 /// Left-hand side less the fixed parts, and the columns of the amplitudes.
@@ -443,7 +476,10 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
     let again = solve_freely(p, c, &held, terms, fit.sigma);
     // judged by the priors as they are
     let prior = |n: &[Nuisance], x: &[f64]| -> f64 {
-        n.iter().zip(x).filter_map(|(n, x)| n.trust.map(|t| ((x - n.centre) / t.max(1e-9)).powi(2))).sum()
+        n.iter()
+            .zip(x)
+            .filter_map(|(n, x)| n.trust.map(|t| ((x - n.centre) / t.max(1e-9)).powi(2)))
+            .sum()
     };
     let mut again = again;
     again.score.log_likelihood += 0.5 * (prior(&held, &again.nuisance) - prior(nuisances, &again.nuisance));
@@ -461,7 +497,11 @@ fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[
     for _ in 0..3 {
         let (x, residual) = weighted(p, nuisances, &columns, &y, &sigma);
         let energy = p.energy(&residual);
-        let prior: f64 = nuisances.iter().zip(&x).filter_map(|(n, x)| n.trust.map(|t| ((x - n.centre) / t.max(1e-9)).powi(2))).sum();
+        let prior: f64 = nuisances
+            .iter()
+            .zip(&x)
+            .filter_map(|(n, x)| n.trust.map(|t| ((x - n.centre) / t.max(1e-9)).powi(2)))
+            .sum();
         let count = Equation::ALL.map(|e| p.rows_of(e) as f64);
         let mut terms = terms.to_vec();
         let mut at = p.base.len() + p.local.len();
@@ -493,14 +533,29 @@ fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[
 }
 
 /// One weighted solution: coefficients and unweighted residual.
-fn weighted(p: &Problem, nuisances: &[Nuisance], columns: &[&Vec<f64>], y: &[f64], sigma: &[f64; 5]) -> (Vec<f64>, Vec<f64>) {
+fn weighted(
+    p: &Problem,
+    nuisances: &[Nuisance],
+    columns: &[&Vec<f64>],
+    y: &[f64],
+    sigma: &[f64; 5],
+) -> (Vec<f64>, Vec<f64>) {
     let w = p.weights(sigma);
-    let scaled: Vec<Vec<f64>> = columns.par_iter().map(|c| c.iter().zip(&w).map(|(x, w)| x * w).collect()).collect();
+    let scaled: Vec<Vec<f64>> = columns
+        .par_iter()
+        .map(|c| c.iter().zip(&w).map(|(x, w)| x * w).collect())
+        .collect();
     let yw: Vec<f64> = y.iter().zip(&w).map(|(y, w)| y * w).collect();
     let n = scaled.len();
     let norms: Vec<f64> = scaled.iter().map(|c| dot(c, c).sqrt().max(1e-150)).collect();
-    let rows: Vec<Vec<f64>> =
-        (0..n).into_par_iter().map(|i| (0..=i).map(|j| dot(&scaled[i], &scaled[j]) / (norms[i] * norms[j])).collect()).collect();
+    let rows: Vec<Vec<f64>> = (0..n)
+        .into_par_iter()
+        .map(|i| {
+            (0..=i)
+                .map(|j| dot(&scaled[i], &scaled[j]) / (norms[i] * norms[j]))
+                .collect()
+        })
+        .collect();
     let mut gram = DMatrix::from_fn(n, n, |i, j| if j <= i { rows[i][j] } else { rows[j][i] });
     for (j, nuisance) in nuisances.iter().enumerate() {
         if let Some(t) = nuisance.trust {
@@ -530,7 +585,13 @@ pub fn predicted(p: &Problem, c: &RigConstants, fit: &Fit) -> Vec<f64> {
     let regs = regressors(p, &fit.terms, c);
     let (mut r, further) = assembled(p, &regs);
     let amplitudes = fit.terms.iter().flat_map(|t| &t.amplitudes);
-    for (x, col) in fit.nuisance.iter().zip(&p.base).map(|(x, c)| (x, c)).chain(amplitudes.zip(further)) {
+    for (x, col) in fit
+        .nuisance
+        .iter()
+        .zip(&p.base)
+        .map(|(x, c)| (x, c))
+        .chain(amplitudes.zip(further))
+    {
         r.iter_mut().zip(col.iter()).for_each(|(r, c)| *r -= x * c);
     }
     without_local(p, r, &fit.sigma)
@@ -553,5 +614,7 @@ pub fn effect_of(t: &Term, c: &RigConstants, p: &Problem) -> Effect {
 /// Greatest measured rise over 20 degC [K].
 pub fn hottest(p: &Problem) -> f64 {
     let all = p.signals.iter().filter_map(|s| s.temperature.as_ref()).flatten();
-    all.fold(0.0, |a: f64, t| a.max(t - sim_worker::effect::REFERENCE_TEMPERATURE_DEGC))
+    all.fold(0.0, |a: f64, t| {
+        a.max(t - sim_worker::effect::REFERENCE_TEMPERATURE_DEGC)
+    })
 }

@@ -155,13 +155,8 @@ fn places(f: &Findings) -> Option<Section> {
     }
     let mut text = String::from("Where the excess over the noise is:\n\n");
     for r in &f.regions {
-        text += &format!(
-            "- {}: {} of the excess of the {} equation, in {} of its samples\n",
-            line(&r.text).trim_end_matches('.'),
-            share(r.share),
-            line(&r.equation),
-            share(r.samples)
-        );
+        // the text says the shares itself
+        text += &format!("- {}\n", line(&r.text).trim_end_matches('.'));
     }
     Some(section("Where the gap is", text, Vec::new()))
 }

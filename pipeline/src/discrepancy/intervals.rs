@@ -14,6 +14,8 @@ use sim_worker::effect::{Effect, EffectKind, Equation};
 const BLOCK_S: f64 = 0.5;
 /// Two-sided 95 % of a normal distribution.
 const NORMAL_95: f64 = 1.96;
+/// Share of the priors' width that enters.
+const BELIEF: f64 = 1.0;
 /// Widening for the few blocks and the shapes chosen by the same data (assumed).
 const WIDER: f64 = 1.15;
 
@@ -86,7 +88,13 @@ pub fn contribution(p: &Problem, m: &Material, term: &Term) -> Vec<f64> {
 }
 
 /// Sums of `J^T W r` by block of time and by run.
-fn scores(p: &Problem, j: &[Vec<f64>], residual: &[f64], sigma: &[f64; 5], n: usize) -> (Vec<DVector<f64>>, Vec<DVector<f64>>) {
+fn scores(
+    p: &Problem,
+    j: &[Vec<f64>],
+    residual: &[f64],
+    sigma: &[f64; 5],
+    n: usize,
+) -> (Vec<DVector<f64>>, Vec<DVector<f64>>) {
     let length = p.clock.block(BLOCK_S);
     let mut blocks = std::collections::BTreeMap::<(usize, usize), DVector<f64>>::new();
     let mut runs = std::collections::BTreeMap::<usize, DVector<f64>>::new();
@@ -114,8 +122,14 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
     let count = j.len();
     let kept = count - p.local.len();
     let w = p.weights(&fit.sigma);
-    let scaled: Vec<Vec<f64>> = j.par_iter().map(|c| c.iter().zip(&w).map(|(x, w)| x * w).collect()).collect();
-    let norm: Vec<f64> = scaled.iter().map(|c| c.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-150)).collect();
+    let scaled: Vec<Vec<f64>> = j
+        .par_iter()
+        .map(|c| c.iter().zip(&w).map(|(x, w)| x * w).collect())
+        .collect();
+    let norm: Vec<f64> = scaled
+        .iter()
+        .map(|c| c.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-150))
+        .collect();
     let rows: Vec<Vec<f64>> = (0..count)
         .into_par_iter()
         .map(|a| {
@@ -144,8 +158,17 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
     if let Some(held) = &m.held {
         let jh = jacobian(m, held, fit);
         let nh = jh.len().min(count);
-        let (_, runs) = scores(held, &jh[..kept.min(nh)], &m.held_residual(fit), &fit.sigma, kept.min(nh));
-        by_run.extend(runs.into_iter().map(|r| DVector::from_fn(count, |i, _| if i < r.len() { r[i] } else { 0.0 })));
+        let (_, runs) = scores(
+            held,
+            &jh[..kept.min(nh)],
+            &m.held_residual(fit),
+            &fit.sigma,
+            kept.min(nh),
+        );
+        by_run.extend(
+            runs.into_iter()
+                .map(|r| DVector::from_fn(count, |i, _| if i < r.len() { r[i] } else { 0.0 })),
+        );
     }
     let spread = |groups: &[DVector<f64>], factor: f64| -> DMatrix<f64> {
         let mut meat = DMatrix::zeros(count, count);
@@ -157,7 +180,14 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
         meat * factor
     };
     let n = blocks.len() as f64;
-    let a = spread(&blocks, n / (n - 1.0).max(1.0));
+    let mut a = spread(&blocks, n / (n - 1.0).max(1.0));
+    // what only a belief says is as uncertain as the belief
+    for (i, nuisance) in m.nuisances.iter().enumerate() {
+        if let Some(t) = nuisance.trust {
+            let x = inverse.column(i) * (BELIEF / t.max(1e-9) / norm[i]);
+            a += &x * x.transpose();
+        }
+    }
     let runs = by_run.len() as f64;
     let fitted = m.fit.signals.len() as f64;
     let b = spread(&by_run, fitted / runs);
@@ -198,7 +228,8 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
                     change(&mut down, -*d);
                     let mut difference = value(&up).values[key] - value(&down).values[key];
                     if term.kind.is_periodic() && key == 1 {
-                        difference = (difference + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
+                        difference = (difference + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
+                            - std::f64::consts::PI;
                     }
                     (*i, difference / (2.0 * d))
                 })

@@ -5,6 +5,7 @@ pub mod bench;
 pub mod check;
 pub mod columns;
 pub mod compare;
+mod compare_motion;
 pub mod filter;
 pub mod findings;
 pub mod fit;

@@ -53,9 +53,21 @@ fn separating(a: &str, b: &str) -> &'static Experiment {
     let is = |names: &[&str]| names.contains(&a) || names.contains(&b);
     if is(&["compliance", "backlash", "presliding", "encoder_eccentricity"]) && !is(&["stribeck", "lubricated_rise"]) {
         &CHIRP
-    } else if is(&["current_offset", "current_gain", "load_dependent_friction", "dead_time", "winding_heating", "supply_sag"]) {
+    } else if is(&[
+        "current_offset",
+        "current_gain",
+        "load_dependent_friction",
+        "dead_time",
+        "winding_heating",
+        "supply_sag",
+    ]) {
         &LOADS
-    } else if is(&["quadratic_drag", "torque_saturation", "viscous_asymmetry", "control_delay"]) {
+    } else if is(&[
+        "quadratic_drag",
+        "torque_saturation",
+        "viscous_asymmetry",
+        "control_delay",
+    ]) {
         &STEPS
     } else {
         &STAIRCASE
@@ -73,7 +85,10 @@ pub fn next(f: &mut Findings, out: Option<&Path>, model: Option<&Path>, bench: &
     if let Some((a, b)) = pair {
         let e = separating(&a, &b);
         let file = out.unwrap_or(Path::new(".")).join("next_sequence.toml");
-        let text = format!("# Tells {a} from {b}: {}. Amplitudes are assumed.\nname = \"{}\"\n\n{}", e.why, e.name, e.segments);
+        let text = format!(
+            "# Tells {a} from {b}: {}. Amplitudes are assumed.\nname = \"{}\"\n\n{}",
+            e.why, e.name, e.segments
+        );
         f.next_command = Some(format!("ema run --sequence {} --out next.csv", shown(&file)));
         f.next_reason = format!(
             "{a} and {b} cannot be told apart: drive the rig with this sequence ({}), add the recording to {} and study again",
@@ -90,13 +105,23 @@ pub fn next(f: &mut Findings, out: Option<&Path>, model: Option<&Path>, bench: &
         ("unknown", _) => {
             let file = out.unwrap_or(Path::new(".")).join("next_sequence.toml");
             let e = &STAIRCASE;
-            let text = format!("# {}. Amplitudes are assumed.\nname = \"{}\"\n\n{}", e.why, e.name, e.segments);
+            let text = format!(
+                "# {}. Amplitudes are assumed.\nname = \"{}\"\n\n{}",
+                e.why, e.name, e.segments
+            );
             f.next_command = Some(format!("ema run --sequence {} --out next.csv", shown(&file)));
-            f.next_reason = format!("what is missing has no name: a recording under this sequence shows it alone ({})", e.why);
+            f.next_reason = format!(
+                "what is missing has no name: a recording under this sequence shows it alone ({})",
+                e.why
+            );
             return out.map(|_| (file, text));
         }
         ("named" | "named_with_remainder" | "retune", None) => {
-            f.next_command = Some(format!("ema discrepancy --model {} --bench {} --out study", f.model, bench.display()));
+            f.next_command = Some(format!(
+                "ema discrepancy --model {} --bench {} --out study",
+                f.model,
+                bench.display()
+            ));
             f.next_reason = "writes the model with what was found".into();
         }
         _ => f.next_reason = "nothing".into(),

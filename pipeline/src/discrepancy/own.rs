@@ -59,14 +59,20 @@ impl Table {
             && let Some(ns) = get(&self, "t_ns")
         {
             self.names.push("t".into());
-            self.columns.push(Column::Numbers(ns.iter().map(|x| x * 1e-9).collect()));
+            self.columns
+                .push(Column::Numbers(ns.iter().map(|x| x * 1e-9).collect()));
         }
         if get(&self, "i_q").is_none()
-            && let (Some(theta), Some(a), Some(b), Some(c)) =
-                (get(&self, "theta_m"), get(&self, "i_a"), get(&self, "i_b"), get(&self, "i_c"))
+            && let (Some(theta), Some(a), Some(b), Some(c)) = (
+                get(&self, "theta_m"),
+                get(&self, "i_a"),
+                get(&self, "i_b"),
+                get(&self, "i_c"),
+            )
         {
             let shape = |k: usize, q: f64| sim_worker::effect::shape(2.0 * theta[k] - std::f64::consts::TAU / 3.0 * q);
-            let iq = (0..theta.len()).map(|k| 0.5 * (a[k] * shape(k, 0.0) + b[k] * shape(k, 1.0) + c[k] * shape(k, 2.0)));
+            let iq =
+                (0..theta.len()).map(|k| 0.5 * (a[k] * shape(k, 0.0) + b[k] * shape(k, 1.0) + c[k] * shape(k, 2.0)));
             self.columns.push(Column::Numbers(iq.collect()));
             self.names.push("i_q".into());
         }

@@ -29,7 +29,12 @@ pub fn replaced(retuned: &[Identified], a: &ActuatorParameters, with_current: bo
             "torque_constant" if with_current => ("motor", "back_emf_v_s_per_rad", "V s/rad", 0.5 * r.value),
             "resistance" => ("motor", "phase_resistance_ohm", "ohm", 0.5 * r.value),
             "inductance" => ("motor", "phase_inductance_h", "H", 0.5 * r.value),
-            "play" => ("transmission", "backlash_half_width_rad", "rad", r.value.max(0.0) / a.gear_ratio),
+            "play" => (
+                "transmission",
+                "backlash_half_width_rad",
+                "rad",
+                r.value.max(0.0) / a.gear_ratio,
+            ),
             _ => continue,
         };
         out.push(Replaced {
@@ -54,8 +59,12 @@ pub fn written(file: &str, text: &str, constants: &[Replaced], effects: &[Effect
         );
         let header = format!("[{}]", c.section);
         let start = lines.iter().position(|l| l.trim() == header);
-        let start = start.ok_or_else(|| Error::bad(file, format!("section {header}"), "nothing", "a section of its own"))?;
-        let end = lines[start + 1..].iter().position(|l| l.trim_start().starts_with('[')).map_or(lines.len(), |e| start + 1 + e);
+        let start =
+            start.ok_or_else(|| Error::bad(file, format!("section {header}"), "nothing", "a section of its own"))?;
+        let end = lines[start + 1..]
+            .iter()
+            .position(|l| l.trim_start().starts_with('['))
+            .map_or(lines.len(), |e| start + 1 + e);
         let is = |l: &String| l.split('=').next().is_some_and(|k| k.trim() == c.key);
         match lines[start + 1..end].iter().position(is) {
             Some(at) => lines[start + 1 + at] = line,
@@ -120,7 +129,11 @@ pub fn diff(old: &str, new: &str) -> Vec<String> {
             j += 1;
         }
     }
-    let near = |k: usize| all[k.saturating_sub(2)..(k + 3).min(all.len())].iter().any(|l| !l.starts_with(' '));
+    let near = |k: usize| {
+        all[k.saturating_sub(2)..(k + 3).min(all.len())]
+            .iter()
+            .any(|l| !l.starts_with(' '))
+    };
     (0..all.len()).filter(|&k| near(k)).map(|k| all[k].clone()).collect()
 }
 
@@ -142,7 +155,14 @@ mod tests {
         }];
         let mut cogging = Effect::new(EffectKind::Cogging, &[0.003, 0.5, 12.0]);
         cogging.source = "identified: here".into();
-        let new = written("new.toml", text, &replaced(&retuned, &a, true), &[cogging.clone()], "bench \"x\"".replace('"', "'").as_str()).unwrap();
+        let new = written(
+            "new.toml",
+            text,
+            &replaced(&retuned, &a, true),
+            &[cogging.clone()],
+            "bench \"x\"".replace('"', "'").as_str(),
+        )
+        .unwrap();
         let b = ActuatorParameters::parse("new.toml", &new).unwrap();
         assert!((b.static_friction_n_m - 0.09).abs() < 1e-12);
         assert_eq!(b.identified, ["friction.static_n_m"]);

@@ -269,8 +269,20 @@ impl Problem {
                 block.samples.iter().map(|&k| self.bank.order[order].at(x, k)).collect()
             };
             // matched kinematics
-            let speed = || if self.clock.from_position { raw(C::Position, 1) } else { raw(C::Velocity, 0) };
-            let accel = || if self.clock.from_position { raw(C::Position, 2) } else { raw(C::Velocity, 1) };
+            let speed = || {
+                if self.clock.from_position {
+                    raw(C::Position, 1)
+                } else {
+                    raw(C::Velocity, 0)
+                }
+            };
+            let accel = || {
+                if self.clock.from_position {
+                    raw(C::Position, 2)
+                } else {
+                    raw(C::Velocity, 1)
+                }
+            };
             let mut column = |name: &str, values: &dyn Fn(usize) -> f64| {
                 if let Some(c) = nuisances.iter().position(|n| n.name == name) {
                     for (i, row) in block.rows.clone().enumerate() {
@@ -318,7 +330,7 @@ impl Problem {
                 }
                 Equation::Transmission => {
                     let (u, t) = (raw(C::UserPosition, 0), raw(C::Position, 0));
-                    let followed = played(&s.theta, rig.play);
+                    let followed = played(s, rig.play);
                     let lag: Vec<f64> = followed.iter().zip(&s.theta).map(|(f, t)| f - t).collect();
                     let lag = common(0, &lag);
                     for i in 0..y.len() {
@@ -388,7 +400,11 @@ impl Problem {
 
     /// Rows of an equation.
     pub fn rows_of(&self, e: Equation) -> usize {
-        self.blocks.iter().filter(|b| b.equation == e).map(|b| b.rows.len()).sum()
+        self.blocks
+            .iter()
+            .filter(|b| b.equation == e)
+            .map(|b| b.rows.len())
+            .sum()
     }
 
     pub fn floor_of(&self, e: Equation) -> f64 {
@@ -420,8 +436,11 @@ fn within(bank: &FilterBank, order: usize, x: &[f64], k: usize) -> f64 {
     bank.order[order].at(x, k.clamp(half, x.len() - 1 - half))
 }
 
-fn played(theta: &[f64], half: f64) -> Vec<f64> {
-    let mut u = theta[0];
+/// The user's angle behind the known play, which starts where the user's sensor says.
+fn played(s: &Signals, half: f64) -> Vec<f64> {
+    let theta = &s.theta;
+    let lag = s.user.as_ref().map_or(0.0, |u| u[0] - s.position[0]);
+    let mut u = theta[0] + if lag.abs() <= 1.05 * half { lag } else { 0.0 };
     theta
         .iter()
         .map(|t| {
@@ -438,7 +457,9 @@ fn autocorrelation(bank: &FilterBank, lag: usize) -> f64 {
     let middle = impulse.len() / 2;
     impulse[middle] = 1.0;
     let half = bank.half();
-    let h: Vec<f64> = (half..impulse.len() - half).map(|k| bank.order[0].at(&impulse, k)).collect();
+    let h: Vec<f64> = (half..impulse.len() - half)
+        .map(|k| bank.order[0].at(&impulse, k))
+        .collect();
     let sum = |d: usize| -> f64 { h.iter().zip(&h[d.min(h.len())..]).map(|(a, b)| a * b).sum() };
     sum(lag) / sum(0)
 }
@@ -449,7 +470,9 @@ fn floors(bench: &Bench, clock: &Clock, noise: &NoiseTable, bank: &FilterBank) -
     let rig = &bench.rig;
     // rms that a channel's noise leaves behind a filter
     let left = |c: C, order: usize| -> f64 {
-        noise.get(&c).map_or(0.0, |n| n.rms * bank.order[order].noise_gain_of(n.colour))
+        noise
+            .get(&c)
+            .map_or(0.0, |n| n.rms * bank.order[order].noise_gain_of(n.colour))
     };
     let (speed, accel) = if clock.from_position {
         (left(C::Position, 1), left(C::Position, 2))

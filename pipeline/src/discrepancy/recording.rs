@@ -85,7 +85,11 @@ fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
         return Err(Error::bad(&table.file, "run", "no rows", "at least one speed"));
     };
     let mut map = Run {
-        name: format!("{} ({} speeds)", spec.file.file_name().unwrap_or_default().to_string_lossy(), parts.len()),
+        name: format!(
+            "{} ({} speeds)",
+            spec.file.file_name().unwrap_or_default().to_string_lossy(),
+            parts.len()
+        ),
         rate_hz: 1.0,
         start_s: 0.0,
         samples: parts.len() * PIECES,
@@ -109,7 +113,8 @@ fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
             within += each.iter().map(|m| (m - mean).powi(2)).sum::<f64>();
             means.extend(each);
         }
-        map.spread.insert(*c, (within / (parts.len() * (PIECES - 1)) as f64).sqrt());
+        map.spread
+            .insert(*c, (within / (parts.len() * (PIECES - 1)) as f64).sqrt());
         map.channels.insert(*c, means);
     }
     Ok(map)
@@ -129,7 +134,12 @@ fn split(table: &Table, spec: &RunSpec) -> Result<Vec<(Labels, Vec<usize>)>> {
         }
     }
     let single = |f: &&(String, Vec<String>)| f.1.len() == 1;
-    let fixed: Labels = spec.filter.iter().filter(single).map(|(c, v)| (c.clone(), v[0].clone())).collect();
+    let fixed: Labels = spec
+        .filter
+        .iter()
+        .filter(single)
+        .map(|(c, v)| (c.clone(), v[0].clone()))
+        .collect();
     if spec.split.is_empty() {
         return Ok(vec![(fixed, rows)]);
     }
@@ -159,9 +169,14 @@ fn run(bench: &Bench, spec: &RunSpec, table: &Table, labels: Labels, rows: &[usi
             t >= from && t <= to
         });
     }
-    if rows.len() < FEWEST && !bench.is_comparison() {
+    let fewest = if bench.is_comparison() { 8 } else { FEWEST };
+    if rows.len() < fewest {
         let found = format!("{} rows", rows.len());
-        return Err(bad("run".into(), found, "at least 64 rows in the window"));
+        return Err(bad(
+            "run".into(),
+            found,
+            &format!("at least {fewest} rows in the window"),
+        ));
     }
     let time: Vec<f64> = rows.iter().map(|&r| column[r] * time_spec.factor).collect();
     let n = time.len();
@@ -171,24 +186,41 @@ fn run(bench: &Bench, spec: &RunSpec, table: &Table, labels: Labels, rows: &[usi
     }
     if let Some(k) = (1..n).find(|&k| time[k] <= time[k - 1]) {
         let found = format!("{} s after {} s", time[k], time[k - 1]);
-        return Err(bad(clock(k), found, "rising times (the clock went back; several runs in one file? use `split`)"));
+        return Err(bad(
+            clock(k),
+            found,
+            "rising times (the clock went back; several runs in one file? use `split`)",
+        ));
     }
     let mut steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
     let order = n.saturating_sub(1) / 2;
     let median = *steps.select_nth_unstable_by(order, f64::total_cmp).1;
     if let Some(k) = (1..n).find(|&k| !spec.steady && time[k] - time[k - 1] > JUMP * median) {
-        let found = format!("a step of {:.6} s where {:.6} s is usual", time[k] - time[k - 1], median);
-        return Err(bad(clock(k), found, "a steady clock (it jumped; cut the run with `window_s`)"));
+        let found = format!(
+            "a step of {:.6} s where {:.6} s is usual",
+            time[k] - time[k - 1],
+            median
+        );
+        return Err(bad(
+            clock(k),
+            found,
+            "a steady clock (it jumped; cut the run with `window_s`)",
+        ));
     }
     let step = (time[n - 1] - time[0]) / (n - 1) as f64;
-    let even = time.iter().enumerate().all(|(k, t)| (t - time[0] - k as f64 * step).abs() < 0.02 * step);
+    let even = time
+        .iter()
+        .enumerate()
+        .all(|(k, t)| (t - time[0] - k as f64 * step).abs() < 0.02 * step);
     let mut channels = BTreeMap::new();
     for c in &bench.channels {
         if c.channel == BenchChannel::Time {
             continue;
         }
         let column = table.numbers(&c.column)?;
-        let x: Vec<f64> = rows.iter().map(|&r| column[r] * c.factor).collect();
+        let minus = c.minus.as_ref().map(|m| table.numbers(m)).transpose()?;
+        let value = |r: usize| column[r] - minus.map_or(0.0, |m| m[r]);
+        let x: Vec<f64> = rows.iter().map(|&r| value(r) * c.factor).collect();
         if let Some(k) = x.iter().position(|x| !x.is_finite()) {
             let place = format!("column `{}`, row {}", c.column, rows[k] + 1);
             return Err(bad(place, column[rows[k]].to_string(), "a finite number"));
@@ -197,7 +229,11 @@ fn run(bench: &Bench, spec: &RunSpec, table: &Table, labels: Labels, rows: &[usi
         channels.insert(c.channel, x);
     }
     let label: Vec<String> = labels.iter().map(|(k, v)| format!("{k} {v}")).collect();
-    let stem = spec.file.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = spec
+        .file
+        .file_name()
+        .map(|f| f.to_string_lossy().into_owned())
+        .unwrap_or_default();
     let mut name = stem;
     if !label.is_empty() {
         name = format!("{name} ({})", label.join(", "));
@@ -236,7 +272,11 @@ fn evened(time: &[f64], x: &[f64], step: f64) -> Vec<f64> {
 
 /// Noise of a channel, resolution included; SI at the motor.
 pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
-    let spreads: Vec<f64> = runs.iter().filter_map(|r| r.spread.get(&spec.channel)).copied().collect();
+    let spreads: Vec<f64> = runs
+        .iter()
+        .filter_map(|r| r.spread.get(&spec.channel))
+        .copied()
+        .collect();
     if !spreads.is_empty() {
         let mean = spreads.iter().map(|s| s * s).sum::<f64>() / spreads.len() as f64;
         return ChannelNoise {
@@ -255,7 +295,11 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
             };
         }
     };
-    let colour = if white > 2.0 * grain { colour(spec.channel, white, runs) } else { 0.0 };
+    let colour = if white > 2.0 * grain {
+        colour(spec.channel, white, runs)
+    } else {
+        0.0
+    };
     ChannelNoise {
         rms: white.hypot(grain),
         colour,
@@ -268,8 +312,14 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
 fn colour(channel: BenchChannel, rms: f64, runs: &[Run]) -> f64 {
     let mut blocks: Vec<f64> = Vec::new();
     for x in runs.iter().filter_map(|r| r.channel(channel)) {
-        let d: Vec<f64> = x.windows(5).map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).collect();
-        blocks.extend(d.chunks_exact(128).map(|b| b.iter().map(|x| x * x).sum::<f64>() / 128.0));
+        let d: Vec<f64> = x
+            .windows(5)
+            .map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4])
+            .collect();
+        blocks.extend(
+            d.chunks_exact(128)
+                .map(|b| b.iter().map(|x| x * x).sum::<f64>() / 128.0),
+        );
     }
     if blocks.is_empty() {
         return 0.0;
@@ -284,7 +334,11 @@ fn colour(channel: BenchChannel, rms: f64, runs: &[Run]) -> f64 {
     let (mut low, mut high) = (0.0, 0.99);
     for _ in 0..40 {
         let middle = 0.5 * (low + high);
-        if expected(middle) > energy { low = middle } else { high = middle }
+        if expected(middle) > energy {
+            low = middle
+        } else {
+            high = middle
+        }
     }
     0.5 * (low + high)
 }
@@ -294,14 +348,20 @@ fn colour(channel: BenchChannel, rms: f64, runs: &[Run]) -> f64 {
 fn estimated(channel: BenchChannel, runs: &[Run]) -> f64 {
     let mut all: Vec<f64> = Vec::new();
     for x in runs.iter().filter_map(|r| r.channel(channel)) {
-        all.extend(x.windows(5).map(|w| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).abs()));
+        all.extend(
+            x.windows(5)
+                .map(|w| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).abs()),
+        );
     }
     if all.is_empty() {
         return 0.0;
     }
     let middle = all.len() / 2;
     let median = *all.select_nth_unstable_by(middle, f64::total_cmp).1;
-    median / 0.6745 / 70f64.sqrt()
+    let values = runs.iter().filter_map(|r| r.channel(channel)).flatten();
+    let (low, high) = values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    // no sensor is better than a millionth of its range
+    (median / 0.6745 / 70f64.sqrt()).max(1e-6 * (high - low))
 }
 
 /// Half the variance of the difference of runs that were meant to be alike.

@@ -78,10 +78,13 @@ impl Regressor {
 /// Bin edges of a regressor over the rows of an equation: equal counts.
 pub fn edges(p: &Problem, e: Equation, r: Regressor, bins: usize) -> Vec<f64> {
     let blocks = p.blocks.iter().filter(|b| b.equation == e);
-    let mut all: Vec<f64> =
-        blocks.flat_map(|b| b.samples.iter().map(|&k| r.value(&p.signals[b.run], k))).collect();
+    let mut all: Vec<f64> = blocks
+        .flat_map(|b| b.samples.iter().map(|&k| r.value(&p.signals[b.run], k)))
+        .collect();
     all.sort_by(f64::total_cmp);
-    let mut edges: Vec<f64> = (1..bins).filter_map(|i| all.get(i * all.len() / bins).copied()).collect();
+    let mut edges: Vec<f64> = (1..bins)
+        .filter_map(|i| all.get(i * all.len() / bins).copied())
+        .collect();
     edges.dedup();
     edges
 }
@@ -102,7 +105,14 @@ impl Table {
     fn new(p: &Problem, e: Equation, with_drive: bool) -> Self {
         let mut columns = 0;
         let mut all = Vec::new();
-        let signals = [Regressor::Speed, Regressor::Position, Regressor::Drive, Regressor::Acceleration, Regressor::Load, Regressor::Temperature];
+        let signals = [
+            Regressor::Speed,
+            Regressor::Position,
+            Regressor::Drive,
+            Regressor::Acceleration,
+            Regressor::Load,
+            Regressor::Temperature,
+        ];
         for r in signals.into_iter().filter(|r| with_drive || *r != Regressor::Drive) {
             let edges = edges(p, e, r, BINS);
             if edges.len() > 1 {
@@ -127,7 +137,12 @@ impl Table {
         for n in 1..=6 {
             let (sin, cos) = (n as f64 * s.theta[k]).sin_cos();
             let j = at + 4 * (n - 1);
-            out.extend([(j, sin), (j + 1, cos), (j + 2, sin * s.sign[k]), (j + 3, cos * s.sign[k])]);
+            out.extend([
+                (j, sin),
+                (j + 1, cos),
+                (j + 2, sin * s.sign[k]),
+                (j + 3, cos * s.sign[k]),
+            ]);
         }
     }
 }

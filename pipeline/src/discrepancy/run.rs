@@ -103,7 +103,10 @@ fn notes(e: &FoundEffect, f: &Findings, hashes: &[String]) -> Vec<(String, Note)
     let mut notes = vec![
         ("data".to_string(), Note::Text(hashes.join(" "))),
         ("explained_share".to_string(), Note::Number(e.explained_share)),
-        ("runner_up".to_string(), Note::Text(e.runner_up.clone().unwrap_or_default())),
+        (
+            "runner_up".to_string(),
+            Note::Text(e.runner_up.clone().unwrap_or_default()),
+        ),
     ];
     let score = f.leaders.iter().find(|l| l.name == e.name).map(|l| l.gain);
     notes.extend(score.map(|s| ("score".to_string(), Note::Number(s))));

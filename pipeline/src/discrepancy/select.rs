@@ -10,6 +10,9 @@ use super::signals::{self, Clock, NoiseTable};
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
 
+/// Standard deviations from which a belief about friction is given up (assumed).
+const STRANGE: f64 = 2.5;
+
 /// All that a study works on.
 pub struct Material {
     pub bench: Bench,
@@ -43,13 +46,7 @@ impl Material {
         Self::set_up(bench, runs, nuisances, known.to_vec(), (0.0, 0.0))
     }
 
-    fn set_up(
-        bench: Bench,
-        runs: Vec<Run>,
-        nuisances: Vec<Nuisance>,
-        known: Vec<Effect>,
-        encoder: (f64, f64),
-    ) -> Self {
+    fn set_up(bench: Bench, runs: Vec<Run>, nuisances: Vec<Nuisance>, known: Vec<Effect>, encoder: (f64, f64)) -> Self {
         let noise = signals::noise_table(&bench, &runs);
         let of = |role: &[Role]| -> Vec<&Run> { runs.iter().filter(|r| role.contains(&r.role)).collect() };
         let used = of(&[Role::Fit, Role::HeldOut]);
@@ -132,6 +129,13 @@ impl Material {
                 n.centre = (1.0 + n.centre) / factor - 1.0;
                 n.trust = n.trust.map(|t| t / factor);
                 n.nominal *= factor;
+                // friction that is far from what was believed is another friction: what was believed
+                // of it says nothing about the scale of the rest
+                let friction = matches!(n.name, "coulomb" | "viscous");
+                if friction && n.trust.is_some_and(|t| n.centre.abs() > STRANGE * t) {
+                    n.trust = None;
+                    n.centre = 0.0;
+                }
             }
         }
         let sensor = fit.terms.iter().find(|t| t.kind == EffectKind::EncoderEccentricity);
@@ -153,8 +157,10 @@ impl Material {
         let regs = fit::regressors(&self.fit, &model.terms, &self.constants);
         let (y, further) = fit::assembled(&self.fit, &regs);
         let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, model.sigma);
+        let silent = super::tell::not_excited(self);
         let mut all: Vec<Ranked> = kinds
             .par_iter()
+            .filter(|k| !silent.iter().any(|s| s.0 == k.name()))
             .filter(|k| takes_several(**k) || !model.terms.iter().any(|t| t.kind == **k))
             .filter_map(|&k| {
                 let (term, score) = scan.best(k)?;
@@ -172,7 +178,12 @@ impl Material {
         let mut sigma = model.sigma;
         for _ in 0..rounds {
             for i in 0..terms.len() {
-                let others: Vec<Term> = terms.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, t)| t.clone()).collect();
+                let others: Vec<Term> = terms
+                    .iter()
+                    .enumerate()
+                    .filter(|(j, _)| *j != i)
+                    .map(|(_, t)| t.clone())
+                    .collect();
                 let regs: Vec<Regressor> = fit::regressors(&self.fit, &others, &self.constants);
                 let (y, further) = fit::assembled(&self.fit, &regs);
                 let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, sigma);
@@ -191,7 +202,11 @@ impl Material {
     pub fn over_floor(&self, p: &Problem, energy: &[f64; 5]) -> [f64; 5] {
         std::array::from_fn(|e| {
             let n = p.rows_of(Equation::ALL[e]) as f64;
-            if n > 0.0 { (energy[e] / n).sqrt() / p.floor[e] } else { f64::NAN }
+            if n > 0.0 {
+                (energy[e] / n).sqrt() / p.floor[e]
+            } else {
+                f64::NAN
+            }
         })
     }
 
@@ -236,12 +251,17 @@ fn mains(p: &Problem, c: &RigConstants, nuisances: &[Nuisance]) -> Vec<(Equation
     };
     for e in [Equation::Torque, Equation::Electrical] {
         for f in problem::MAINS_HZ.into_iter().filter(|f| *f < 2.0 * p.clock.corner_hz) {
-            let stands_out = p.blocks.iter().filter(|b| b.equation == e && b.rows.len() > 100).any(|b| {
-                let mut around: Vec<f64> =
-                    (2..14).flat_map(|j| [-0.4, 0.4].map(|d| power(b, f + d * j as f64))).collect();
-                around.sort_by(f64::total_cmp);
-                power(b, f) > 25.0 * around[around.len() / 2].max(1e-300)
-            });
+            let stands_out = p
+                .blocks
+                .iter()
+                .filter(|b| b.equation == e && b.rows.len() > 100)
+                .any(|b| {
+                    let mut around: Vec<f64> = (2..14)
+                        .flat_map(|j| [-0.4, 0.4].map(|d| power(b, f + d * j as f64)))
+                        .collect();
+                    around.sort_by(f64::total_cmp);
+                    power(b, f) > 25.0 * around[around.len() / 2].max(1e-300)
+                });
             if stands_out {
                 found.push((e, f));
             }

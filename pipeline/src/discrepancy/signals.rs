@@ -14,6 +14,9 @@ const AT_REST: f64 = 4.0;
 /// Share of the greatest speed that is never called motion (assumed).
 const CREEP: f64 = 1e-4;
 
+/// Share of the supply voltage that the back-EMF may take before the current is no longer held (assumed).
+const SUPPLY_SHARE: f64 = 0.85;
+
 /// Noise of a channel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ChannelNoise {
@@ -173,7 +176,11 @@ impl Clock {
 
     /// Samples in a block that is as good as independent of the next.
     pub fn block(&self, seconds: f64) -> usize {
-        if self.steady { recording::PIECES } else { ((seconds * self.rate_hz) as usize).max(1) }
+        if self.steady {
+            recording::PIECES
+        } else {
+            ((seconds * self.rate_hz) as usize).max(1)
+        }
     }
 
     /// The filters for a channel.
@@ -262,7 +269,16 @@ impl Signals {
             unreachable!("checked: position or velocity")
         }
         let position = at(BenchChannel::Position).unwrap_or_else(|| theta.clone());
-        let (sign, resting) = directions(&omega, AT_REST * clock.speed_noise);
+        let (sign, mut resting) = directions(&omega, AT_REST * clock.speed_noise);
+        let rig = &bench.rig;
+        if rig.drive == BenchChannel::Current {
+            // near the supply's limit the phases no longer carry what the commutation asks for
+            let fastest = SUPPLY_SHARE * rig.supply_voltage / rig.back_emf.value.max(1e-12);
+            resting
+                .iter_mut()
+                .zip(&omega)
+                .for_each(|(r, w)| *r |= w.abs() > fastest);
+        }
         let drive_channel = bench.rig.drive;
         let raw = run.channel(drive_channel).expect("checked when read");
         let s = smoother(drive_channel);
@@ -270,7 +286,11 @@ impl Signals {
         let law = command.as_ref().zip(bench.rig.controller.as_ref());
         let user = at(BenchChannel::UserPosition);
         let law = law.map(|(command, law)| {
-            let position = if law.on_user { user.as_ref().unwrap_or(&theta) } else { &theta };
+            let position = if law.on_user {
+                user.as_ref().unwrap_or(&theta)
+            } else {
+                &theta
+            };
             demanded(law, command, position, &omega, rate_hz)
         });
         let temperature = run.channel(BenchChannel::Temperature);

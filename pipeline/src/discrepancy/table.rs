@@ -35,7 +35,10 @@ impl Table {
         };
         table.hash = hash;
         if table.rows == 0 {
-            return Err(Error::torn(path, "no rows of data; allowed: a header and at least one row"));
+            return Err(Error::torn(
+                path,
+                "no rows of data; allowed: a header and at least one row",
+            ));
         }
         Ok(table)
     }
@@ -45,11 +48,21 @@ impl Table {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
         let torn = |e: csv::Error| {
             let line = e.position().map_or(1, |p| p.line());
-            Error::bad(&file, format!("line {line}"), e.to_string().replace('\n', " "), "CSV with one header")
+            Error::bad(
+                &file,
+                format!("line {line}"),
+                e.to_string().replace('\n', " "),
+                "CSV with one header",
+            )
         };
         let names: Vec<String> = reader.headers().map_err(torn)?.iter().map(str::to_string).collect();
         if let Some(name) = names.iter().enumerate().find(|(i, n)| names[..*i].contains(n)) {
-            return Err(Error::bad(&file, "line 1", format!("column `{}` twice", name.1), "each column once"));
+            return Err(Error::bad(
+                &file,
+                "line 1",
+                format!("column `{}` twice", name.1),
+                "each column once",
+            ));
         }
         let mut texts: Vec<Option<Vec<String>>> = vec![None; names.len()];
         let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
@@ -72,7 +85,9 @@ impl Table {
             rows += 1;
         }
         let columns = texts.into_iter().zip(numbers);
-        let columns = columns.map(|(t, n)| t.map_or(Column::Numbers(n), Column::Texts)).collect();
+        let columns = columns
+            .map(|(t, n)| t.map_or(Column::Numbers(n), Column::Texts))
+            .collect();
         Ok(Self {
             file,
             names,
@@ -91,10 +106,17 @@ impl Table {
             rows += batch.num_rows();
             for (c, field) in batch.schema().fields().iter().enumerate() {
                 let array = batch.column(c);
-                let text = matches!(field.data_type(), DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View);
+                let text = matches!(
+                    field.data_type(),
+                    DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View
+                );
                 if names.len() <= c {
                     names.push(field.name().clone());
-                    columns.push(if text { Column::Texts(Vec::new()) } else { Column::Numbers(Vec::new()) });
+                    columns.push(if text {
+                        Column::Texts(Vec::new())
+                    } else {
+                        Column::Numbers(Vec::new())
+                    });
                 }
                 let wanted = if text { DataType::Utf8 } else { DataType::Float64 };
                 let Ok(array) = arrow::compute::cast(array, &wanted) else {
@@ -132,7 +154,10 @@ impl Table {
     fn column(&self, name: &str) -> Result<&Column> {
         let c = self.names.iter().position(|n| n == name);
         c.map(|c| &self.columns[c]).ok_or_else(|| {
-            self.bad(format!("no column `{name}`"), format!("one of {}", self.names.join(", ")))
+            self.bad(
+                format!("no column `{name}`"),
+                format!("one of {}", self.names.join(", ")),
+            )
         })
     }
 

@@ -53,7 +53,11 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
     let effects = effects(o, &intervals);
     let by_channel = gaps(o);
     let gap = by_channel.first().cloned();
-    let unnamed_share = if o.verdict == Verdict::Unknown { 1.0 - o.explained } else { (1.0 - o.explained).max(0.0) };
+    let unnamed_share = if o.verdict == Verdict::Unknown {
+        1.0 - o.explained
+    } else {
+        (1.0 - o.explained).max(0.0)
+    };
     let regions = regions(m, &o.retuned);
     let unnamed = matches!(o.verdict, Verdict::Unknown | Verdict::NamedWithRemainder).then(|| unnamed(o, &regions));
     let mut f = Findings {
@@ -68,7 +72,11 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
         leaders: leaders(o),
         not_excited: not_excited(m),
         missing: missing(m),
-        unnamed_share: if matches!(o.verdict, Verdict::None | Verdict::Retune) { 0.0 } else { unnamed_share },
+        unnamed_share: if matches!(o.verdict, Verdict::None | Verdict::Retune) {
+            0.0
+        } else {
+            unnamed_share
+        },
         unnamed,
         profiles: profiles(o),
         traces: traces(o),
@@ -83,7 +91,13 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
 fn constants(o: &Outcome, i: &Intervals) -> Vec<Identified> {
     let m = &o.material;
     let mut out = Vec::new();
-    for (n, n0) in m.nuisances.iter().zip(&o.first_nuisances).enumerate().map(|(k, (n, n0))| ((k, n), n0)) {
+    for (n, n0) in m
+        .nuisances
+        .iter()
+        .zip(&o.first_nuisances)
+        .enumerate()
+        .map(|(k, (n, n0))| ((k, n), n0))
+    {
         let ((k, n), n0) = (n, n0);
         if !n.of_machine || n.nominal == 0.0 {
             continue;
@@ -168,7 +182,9 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
             let runner_up = step.and_then(|s| s.ranked.iter().map(|r| r.term.kind).find(|k| *k != term.kind));
             let share = step.map_or(0.0, |s| {
                 let by = shares(m.held_problem(), &s.held_before, &s.held_after);
-                by[index(term.kind.equation())].or(by.into_iter().flatten().next()).unwrap_or(0.0)
+                by[index(term.kind.equation())]
+                    .or(by.into_iter().flatten().next())
+                    .unwrap_or(0.0)
             });
             let last = t + 1 == o.model.terms.len();
             FoundEffect {
@@ -178,7 +194,11 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                 parameters,
                 explained_share: share,
                 runner_up: runner_up.map(|k| k.name().to_string()),
-                ambiguous_with: if last { o.ambiguous_with.iter().map(|k| k.name().to_string()).collect() } else { Vec::new() },
+                ambiguous_with: if last {
+                    o.ambiguous_with.iter().map(|k| k.name().to_string()).collect()
+                } else {
+                    Vec::new()
+                },
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
         })
@@ -187,7 +207,10 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
 
 /// kt of the fit over the kt that the equations stand around.
 fn torque_scale(m: &Material, fit: &Fit) -> f64 {
-    m.nuisances.iter().position(|n| n.name == "torque_constant").map_or(1.0, |k| 1.0 + fit.nuisance[k])
+    m.nuisances
+        .iter()
+        .position(|n| n.name == "torque_constant")
+        .map_or(1.0, |k| 1.0 + fit.nuisance[k])
 }
 
 fn gaps(o: &Outcome) -> Vec<ChannelGap> {
@@ -228,8 +251,14 @@ fn regions(m: &Material, fit: &Fit) -> Vec<Region> {
             continue;
         }
         let mut found: Vec<Region> = Vec::new();
-        for r in Regressor::ALL.into_iter().filter(|r| m.constants.measured_current || *r != Regressor::Drive) {
-            let absolute = matches!(r, Regressor::Speed | Regressor::Drive | Regressor::Acceleration | Regressor::Load);
+        for r in Regressor::ALL
+            .into_iter()
+            .filter(|r| m.constants.measured_current || *r != Regressor::Drive)
+        {
+            let absolute = matches!(
+                r,
+                Regressor::Speed | Regressor::Drive | Regressor::Acceleration | Regressor::Load
+            );
             for size in [false, true] {
                 if size && !absolute {
                     continue;
@@ -243,7 +272,11 @@ fn regions(m: &Material, fit: &Fit) -> Vec<Region> {
         for b in p.blocks.iter().filter(|b| b.equation == e) {
             for (row, &k) in b.rows.clone().zip(&b.samples) {
                 let x = fit.residual[row].powi(2) - floor2;
-                if p.signals[b.run].omega[k] > 0.0 { up += x } else { down += x }
+                if p.signals[b.run].omega[k] > 0.0 {
+                    up += x
+                } else {
+                    down += x
+                }
             }
         }
         found.sort_by(|a, b| (b.share - b.samples).total_cmp(&(a.share - a.samples)));
@@ -255,7 +288,11 @@ fn regions(m: &Material, fit: &Fit) -> Vec<Region> {
                 equation: e.name().to_string(),
                 share: up_share.max(1.0 - up_share),
                 samples: 0.5,
-                text: format!("{:.0} % of the {} gap lies in {way} motion", 100.0 * up_share.max(1.0 - up_share), e.name()),
+                text: format!(
+                    "{:.0} % of the {} gap lies in {way} motion",
+                    100.0 * up_share.max(1.0 - up_share),
+                    e.name()
+                ),
             });
         } else if let Some(first) = found.first_mut() {
             first.text += ", in both directions";
@@ -281,7 +318,9 @@ fn densest(p: &Problem, fit: &Fit, e: Equation, r: Regressor, size: bool, excess
         return None;
     }
     let edge = |i: usize| i * (n - 1) / BINS;
-    let energy: Vec<f64> = (0..BINS).map(|i| all[edge(i)..edge(i + 1)].iter().map(|x| x.1).sum()).collect();
+    let energy: Vec<f64> = (0..BINS)
+        .map(|i| all[edge(i)..edge(i + 1)].iter().map(|x| x.1).sum())
+        .collect();
     let mut best = (0.0, 0, 0);
     for from in 0..BINS {
         for to in from + 1..=BINS.min(from + BINS / 2) {
@@ -298,7 +337,11 @@ fn densest(p: &Problem, fit: &Fit, e: Equation, r: Regressor, size: bool, excess
     }
     let samples = (to - from) as f64 / BINS as f64;
     let share = (energy[from..to].iter().sum::<f64>() / excess).clamp(0.0, 1.0);
-    let name = if size { format!("|{}|", r.name()) } else { r.name().to_string() };
+    let name = if size {
+        format!("|{}|", r.name())
+    } else {
+        r.name().to_string()
+    };
     let (low, high) = (all[edge(from)].0, all[edge(to)].0);
     let place = if from == 0 {
         format!("{name} < {high:.3} {}", r.unit())
@@ -328,7 +371,9 @@ fn leaders(o: &Outcome) -> Vec<Leader> {
             let e = fit::effect_of(&r.term, &m.constants, &m.fit);
             let parameters: Vec<String> = e.parameters().map(|(k, v)| told(k.name, v, k.unit)).collect();
             let by = shares(&m.fit, &s.before, &r.score.energy);
-            let own = by[index(r.term.kind.equation())].or(by.into_iter().flatten().next()).unwrap_or(0.0);
+            let own = by[index(r.term.kind.equation())]
+                .or(by.into_iter().flatten().next())
+                .unwrap_or(0.0);
             let note = match (j, s.accepted) {
                 (0, true) => "taken",
                 (0, false) => s.why_not,
@@ -348,20 +393,37 @@ fn leaders(o: &Outcome) -> Vec<Leader> {
 }
 
 /// Effects that the data cannot show, and why.
-fn not_excited(m: &Material) -> Vec<(String, String)> {
+pub fn not_excited(m: &Material) -> Vec<(String, String)> {
     use EffectKind as K;
     let has = |c: BenchChannel| m.has(c);
     let span = |f: &dyn Fn(&super::signals::Signals) -> Vec<f64>| -> f64 {
-        let (low, high) = m.fit.signals.iter().flat_map(f).fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+        let (low, high) = m
+            .fit
+            .signals
+            .iter()
+            .flat_map(f)
+            .fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
         high - low
     };
     let stroke = span(&|s| s.theta.clone());
     let warm = has(BenchChannel::Temperature).then(|| span(&|s| s.temperature.clone().unwrap_or_default()));
     let loads = span(&|s| s.load_level.clone());
-    let torque = m.fit.signals.iter().flat_map(|s| &s.drive).fold(0.0, |a: f64, u| a.max(u.abs())) * m.bench.rig.drive_constant.value;
+    let torque = m
+        .fit
+        .signals
+        .iter()
+        .flat_map(|s| &s.drive)
+        .fold(0.0, |a: f64, u| a.max(u.abs()))
+        * m.bench.rig.drive_constant.value;
     let electrical = m.equations.contains(&Equation::Electrical);
-    let fastest = m.fit.signals.iter().flat_map(|s| &s.omega).fold(0.0, |a: f64, w| a.max(w.abs()));
-    let slow = m.constants.effect.viscous * fastest < 0.02 * torque;
+    let fastest = m
+        .fit
+        .signals
+        .iter()
+        .flat_map(|s| &s.omega)
+        .fold(0.0, |a: f64, w| a.max(w.abs()));
+    // with a nominal drag of a twentieth of the torque, a change of it shows
+    let slow = m.constants.effect.viscous * fastest < 0.005 * torque && stroke > 0.0;
     let why = |k: K| -> Option<&'static str> {
         match k {
             K::LoadDependentFriction if !has(BenchChannel::Load) => Some("no channel `load`"),
@@ -379,7 +441,8 @@ fn not_excited(m: &Material) -> Vec<(String, String)> {
             K::ControlDelay if !m.equations.contains(&Equation::Controller) && m.constants.measured_current => {
                 Some("no command, or no law in [rig.controller]")
             }
-            K::PeriodicFriction | K::Cogging | K::TorqueRipple | K::Eccentricity | K::CommutationOffset | K::TurnShort
+            K::Eccentricity if stroke < 0.5 => Some("the motor turns by less than half a radian"),
+            K::PeriodicFriction | K::Cogging | K::TorqueRipple | K::CommutationOffset | K::TurnShort
                 if stroke < std::f64::consts::TAU =>
             {
                 Some("the motor turns by less than one turn")
@@ -388,37 +451,59 @@ fn not_excited(m: &Material) -> Vec<(String, String)> {
             _ => None,
         }
     };
-    K::ALL.iter().filter_map(|k| why(*k).map(|w| (k.name().to_string(), w.to_string()))).collect()
+    K::ALL
+        .iter()
+        .filter_map(|k| why(*k).map(|w| (k.name().to_string(), w.to_string())))
+        .collect()
 }
 
 fn missing(m: &Material) -> Vec<(String, String)> {
     use BenchChannel as C;
     let opens = [
         (C::Velocity, "a second sensor of the motion: encoder eccentricity"),
-        (C::Voltage, "the electrical equation: resistance, heating, dead time, supply sag, and kt apart from friction"),
+        (
+            C::Voltage,
+            "the electrical equation: resistance, heating, dead time, supply sag, and kt apart from friction",
+        ),
         (C::UserPosition, "the transmission: backlash, compliance, slip"),
         (C::Command, "the controller's equation (with [rig.controller]): delay"),
         (C::Load, "load-dependent friction, and kt apart from friction"),
         (C::Temperature, "heating of winding and lubricant"),
     ];
-    let mut out: Vec<(String, String)> =
-        opens.iter().filter(|(c, _)| !m.has(*c)).map(|(c, t)| (c.name().to_string(), t.to_string())).collect();
+    let mut out: Vec<(String, String)> = opens
+        .iter()
+        .filter(|(c, _)| !m.has(*c))
+        .map(|(c, t)| (c.name().to_string(), t.to_string()))
+        .collect();
     if m.held.is_none() {
-        out.push(("heldout".into(), "a run that is not used to find anything: without it nothing is proven".into()));
+        out.push((
+            "heldout".into(),
+            "a run that is not used to find anything: without it nothing is proven".into(),
+        ));
     }
     out
 }
 
 fn unnamed(o: &Outcome, regions: &[Region]) -> String {
     let m = &o.material;
-    let worst = m.equations.iter().filter(|e| **e != Equation::Controller).max_by(|a, b| {
-        let gap = |e: &Equation| rms(m.held_problem(), *e, &o.held_model) / m.held_problem().floor_of(*e);
-        gap(a).total_cmp(&gap(b))
-    });
+    let worst = m
+        .equations
+        .iter()
+        .filter(|e| **e != Equation::Controller)
+        .max_by(|a, b| {
+            let gap = |e: &Equation| rms(m.held_problem(), *e, &o.held_model) / m.held_problem().floor_of(*e);
+            gap(a).total_cmp(&gap(b))
+        });
     let e = *worst.unwrap_or(&Equation::Torque);
-    let place = regions.iter().find(|r| r.equation == e.name()).map_or(String::new(), |r| format!("; {}", r.text));
-    let relatives: Vec<&str> =
-        o.steps.last().map(|s| s.ranked.iter().take(3).map(|r| r.term.kind.name()).collect()).unwrap_or_default();
+    let place = regions
+        .iter()
+        .find(|r| r.equation == e.name())
+        .map_or(String::new(), |r| format!("; {}", r.text));
+    let relatives: Vec<&str> = o
+        .steps
+        .last()
+        .map(|s| s.ranked.iter().take(3).map(|r| r.term.kind.name()).collect())
+        .unwrap_or_default();
     format!(
         "unnamed {} in the {} equation: {:.3} times the noise is left on held-out data{place}; closest relatives: {}; a lookup table would take {:.0} % of the rest",
         match e {
@@ -440,7 +525,15 @@ fn profiles(o: &Outcome) -> Vec<Profile> {
     let p = &m.fit;
     let mut scored: Vec<(f64, Profile)> = Vec::new();
     for &e in m.equations.iter().filter(|e| **e != Equation::Controller) {
-        for r in [Regressor::Speed, Regressor::Position, Regressor::Turn, Regressor::Drive, Regressor::Acceleration, Regressor::Load, Regressor::Temperature] {
+        for r in [
+            Regressor::Speed,
+            Regressor::Position,
+            Regressor::Turn,
+            Regressor::Drive,
+            Regressor::Acceleration,
+            Regressor::Load,
+            Regressor::Temperature,
+        ] {
             if r == Regressor::Drive && !m.constants.measured_current {
                 continue;
             }
@@ -454,11 +547,17 @@ fn profiles(o: &Outcome) -> Vec<Profile> {
                 for (row, &k) in b.rows.clone().zip(&b.samples) {
                     let x = r.value(&p.signals[b.run], k);
                     let s = &mut sums[remainder::bin(&edges, x)];
-                    *s = (s.0 + 1.0, s.1 + x, s.2 + o.retuned.residual[row], s.3 + o.model.residual[row]);
+                    *s = (
+                        s.0 + 1.0,
+                        s.1 + x,
+                        s.2 + o.retuned.residual[row],
+                        s.3 + o.model.residual[row],
+                    );
                 }
             }
             sums.retain(|s| s.0 > 0.0);
-            let mean = |f: &dyn Fn(&(f64, f64, f64, f64)) -> f64| -> Vec<f64> { sums.iter().map(|s| f(s) / s.0).collect() };
+            let mean =
+                |f: &dyn Fn(&(f64, f64, f64, f64)) -> f64| -> Vec<f64> { sums.iter().map(|s| f(s) / s.0).collect() };
             let profile = Profile {
                 equation: e.name().to_string(),
                 unit: e.unit().to_string(),
@@ -468,7 +567,8 @@ fn profiles(o: &Outcome) -> Vec<Profile> {
                 retuned: mean(&|s| s.2),
                 last: mean(&|s| s.3),
             };
-            let told: f64 = sums.iter().map(|s| s.2 * s.2 / s.0).sum::<f64>() / p.floor_of(e).powi(2) / p.rows_of(e).max(1) as f64;
+            let told: f64 =
+                sums.iter().map(|s| s.2 * s.2 / s.0).sum::<f64>() / p.floor_of(e).powi(2) / p.rows_of(e).max(1) as f64;
             scored.push((told, profile));
         }
     }
@@ -481,14 +581,23 @@ fn traces(o: &Outcome) -> Vec<Trace> {
     let m = &o.material;
     let p = m.held_problem();
     let (retuned, last) = (&o.held_residuals.0, &o.held_residuals.1);
-    let Some(block) = p.blocks.iter().find(|b| b.equation == Equation::Torque) else { return Vec::new() };
+    let Some(block) = p.blocks.iter().find(|b| b.equation == Equation::Torque) else {
+        return Vec::new();
+    };
     let length = ((1.5 * m.clock.rate_hz) as usize / m.clock.stride).max(50);
     let n = block.samples.len();
     if n < 10 {
         return Vec::new();
     }
-    let energy = |from: usize| -> f64 { (from..(from + length).min(n)).map(|i| retuned[block.rows.start + i].powi(2)).sum() };
-    let from = (0..n.saturating_sub(length).max(1)).step_by((length / 4).max(1)).max_by(|a, b| energy(*a).total_cmp(&energy(*b))).unwrap_or(0);
+    let energy = |from: usize| -> f64 {
+        (from..(from + length).min(n))
+            .map(|i| retuned[block.rows.start + i].powi(2))
+            .sum()
+    };
+    let from = (0..n.saturating_sub(length).max(1))
+        .step_by((length / 4).max(1))
+        .max_by(|a, b| energy(*a).total_cmp(&energy(*b)))
+        .unwrap_or(0);
     let s = &p.signals[block.run];
     let c = to_channel(m, Equation::Torque);
     let (name, unit) = channel(m, Equation::Torque);
@@ -519,9 +628,23 @@ fn traces(o: &Outcome) -> Vec<Trace> {
 
 fn facts(o: &Outcome) -> Vec<(String, String)> {
     let m = &o.material;
-    let runs: Vec<String> = m.runs.iter().map(|r| format!("{} ({}, {:.2} s)", r.name, r.role.name(), r.duration_s())).collect();
-    let shown = if runs.len() > 8 { format!("{} runs", runs.len()) } else { runs.join("; ") };
-    let masked: usize = m.fit.blocks.iter().filter(|b| b.equation == Equation::Torque).map(|b| b.masked).sum();
+    let runs: Vec<String> = m
+        .runs
+        .iter()
+        .map(|r| format!("{} ({}, {:.2} s)", r.name, r.role.name(), r.duration_s()))
+        .collect();
+    let shown = if runs.len() > 8 {
+        format!("{} runs", runs.len())
+    } else {
+        runs.join("; ")
+    };
+    let masked: usize = m
+        .fit
+        .blocks
+        .iter()
+        .filter(|b| b.equation == Equation::Torque)
+        .map(|b| b.masked)
+        .sum();
     let rows = m.fit.rows_of(Equation::Torque);
     let p = m.held_problem();
     let bank = m.clock.common();
@@ -534,17 +657,44 @@ fn facts(o: &Outcome) -> Vec<(String, String)> {
     }
     let drive = (sum / f64::max(count, 1.0)).sqrt();
     let e = index(Equation::Torque);
-    let relative = |energy: &[f64; 5], kt: f64| format!("{:.3} %", 100.0 * (energy[e] / f64::max(count, 1.0)).sqrt() * kt / drive);
+    let relative = |energy: &[f64; 5], kt: f64| {
+        format!(
+            "{:.3} %",
+            100.0 * (energy[e] / f64::max(count, 1.0)).sqrt() * kt / drive
+        )
+    };
     let kt = 1.0 / m.bench.rig.drive_constant.value;
-    let (nominal, retuned, last) =
-        (relative(&o.held_nominal, o.nominal_to_channel), relative(&o.held_retuned, kt), relative(&o.held_model, kt));
+    let (nominal, retuned, last) = (
+        relative(&o.held_nominal, o.nominal_to_channel),
+        relative(&o.held_retuned, kt),
+        relative(&o.held_model, kt),
+    );
     vec![
-        ("relative error of the drive signal".into(), format!("nominal {nominal}, re-tuned {retuned}, final {last}")),
+        (
+            "relative error of the drive signal".into(),
+            format!("nominal {nominal}, re-tuned {retuned}, final {last}"),
+        ),
         ("runs".into(), shown),
-        ("sampling".into(), format!("{:.4} Hz; filters to {:.3} Hz", m.clock.rate_hz, m.clock.corner_hz)),
-        ("equations".into(), m.equations.iter().map(|e| e.name()).collect::<Vec<_>>().join(", ")),
-        ("speed and acceleration from".into(), if m.clock.from_position { "position".into() } else { "velocity".into() }),
-        ("left out of the torque equation".into(), format!("{masked} of {} rows, at rest or turning round", rows + masked)),
+        (
+            "sampling".into(),
+            format!("{:.4} Hz; filters to {:.3} Hz", m.clock.rate_hz, m.clock.corner_hz),
+        ),
+        (
+            "equations".into(),
+            m.equations.iter().map(|e| e.name()).collect::<Vec<_>>().join(", "),
+        ),
+        (
+            "speed and acceleration from".into(),
+            if m.clock.from_position {
+                "position".into()
+            } else {
+                "velocity".into()
+            },
+        ),
+        (
+            "left out of the torque equation".into(),
+            format!("{masked} of {} rows, at rest or turning round", rows + masked),
+        ),
     ]
 }
 
@@ -554,19 +704,34 @@ fn assumptions(m: &Material) -> Vec<String> {
         "an effect is taken for a gain of 15 in log-likelihood, held-out data that get better in 97.5 % of block draws, and 30 % of what is left explained".to_string(),
     ];
     if !m.bench.rig.from_model.is_empty() {
-        out.push(format!("from the model's file, as the bench file does not say: {}", m.bench.rig.from_model.join(", ")));
+        out.push(format!(
+            "from the model's file, as the bench file does not say: {}",
+            m.bench.rig.from_model.join(", ")
+        ));
     }
     out
 }
 
 /// A parameter in a few digits.
 fn told(name: &str, x: f64, unit: &str) -> String {
-    let digits = if x != 0.0 && (x.abs() < 1e-3 || x.abs() >= 1e5) { format!("{x:.3e}") } else { format!("{x:.4}") };
-    if unit == "-" { format!("{name} {digits}") } else { format!("{name} {digits} {unit}") }
+    let digits = if x != 0.0 && (x.abs() < 1e-3 || x.abs() >= 1e5) {
+        format!("{x:.3e}")
+    } else {
+        format!("{x:.4}")
+    };
+    if unit == "-" {
+        format!("{name} {digits}")
+    } else {
+        format!("{name} {digits} {unit}")
+    }
 }
 
 fn sentence(o: &Outcome, f: &Findings) -> String {
-    let held = if o.material.held.is_some() { "held-out" } else { "fit (there are no held-out)" };
+    let held = if o.material.held.is_some() {
+        "held-out"
+    } else {
+        "fit (there are no held-out)"
+    };
     let gap = f.gap.as_ref().map(|g| {
         let l = g.heldout.unwrap_or(g.fit);
         format!(
@@ -592,10 +757,15 @@ fn sentence(o: &Outcome, f: &Findings) -> String {
         Verdict::None => format!("Nothing is missing: {gap}."),
         Verdict::Retune => format!("Only constants are off: {gap}."),
         Verdict::Named => format!("Missing from the model: {names}; {gap}."),
-        Verdict::NamedWithRemainder => format!("Missing from the model: {names}, and something that has no name yet; {gap}."),
+        Verdict::NamedWithRemainder => {
+            format!("Missing from the model: {names}, and something that has no name yet; {gap}.")
+        }
         Verdict::Ambiguous => {
             let others: Vec<&str> = o.ambiguous_with.iter().map(|k| k.name()).collect();
-            format!("Missing from the model: {names}, or {}, which these data cannot tell apart; {gap}.", others.join(" or "))
+            format!(
+                "Missing from the model: {names}, or {}, which these data cannot tell apart; {gap}.",
+                others.join(" or ")
+            )
         }
         Verdict::Unknown => format!("Something is missing, and it is none of the effects that are known here: {gap}."),
     }

@@ -34,7 +34,12 @@ const fn unit(names: &'static [&'static str], factor: f64, lead: i32) -> Unit {
 const TURN: f64 = std::f64::consts::TAU;
 
 fn units(q: Quantity) -> &'static [Unit] {
-    const TIME: &[Unit] = &[unit(&["s"], 1.0, 0), unit(&["ms"], 1e-3, 0), unit(&["us"], 1e-6, 0), unit(&["ns"], 1e-9, 0)];
+    const TIME: &[Unit] = &[
+        unit(&["s"], 1.0, 0),
+        unit(&["ms"], 1e-3, 0),
+        unit(&["us"], 1e-6, 0),
+        unit(&["ns"], 1e-9, 0),
+    ];
     const ANGLE: &[Unit] = &[
         unit(&["rad"], 1.0, 0),
         unit(&["mrad"], 1e-3, 0),
@@ -65,7 +70,11 @@ fn units(q: Quantity) -> &'static [Unit] {
         unit(&["mN m/A", "mNm/A"], 1e-3, 0),
         unit(&["N/A", "N/V"], 1.0, 1),
     ];
-    const INERTIA: &[Unit] = &[unit(&["kg m2", "kg m^2", "kgm2"], 1.0, 0), unit(&["g cm2"], 1e-7, 0), unit(&["kg"], 1.0, 2)];
+    const INERTIA: &[Unit] = &[
+        unit(&["kg m2", "kg m^2", "kgm2"], 1.0, 0),
+        unit(&["g cm2"], 1e-7, 0),
+        unit(&["kg"], 1.0, 2),
+    ];
     const VISCOUS: &[Unit] = &[
         unit(&["N m s/rad", "N m s", "Nms", "Nms/rad"], 1.0, 0),
         unit(&["N/(m/s)", "N s/m"], 1.0, 2),
