@@ -74,6 +74,11 @@ impl ActuatorParameters {
         Self::parse("datasets/parameters/reference.toml", REFERENCE).expect("the built-in parameters are valid")
     }
 
+    /// Text of the reference actuator's file.
+    pub fn reference_text() -> &'static str {
+        REFERENCE
+    }
+
     pub fn read(path: &Path) -> Result<Self> {
         Self::from_section(toml_section::read(path)?)
     }

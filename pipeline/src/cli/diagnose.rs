@@ -36,6 +36,31 @@ pub struct DiagnoseArgs {
     actuator: ActuatorArg,
 }
 
+impl DiagnoseArgs {
+    /// The command that studies this recording.
+    fn study(&self) -> String {
+        let model = self
+            .actuator
+            .path()
+            .map_or(crate::discrepancy::REFERENCE.into(), quoted);
+        format!(
+            "ema discrepancy --model {model} --bench {} --out study",
+            quoted(&self.file)
+        )
+    }
+}
+
+/// A path as a shell takes it.
+fn quoted(path: &std::path::Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,".contains(c);
+    if text.chars().all(plain) {
+        text
+    } else {
+        format!("'{}'", text.replace('\'', "'\\''"))
+    }
+}
+
 pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     let settings = Settings {
         actuator: a.actuator.read()?,
@@ -46,10 +71,21 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         grid: sim_worker::datasets::grid(&a.grid)?,
     };
     let case = case::run(&a.file, &settings)?;
+    // what no pair of faults explains is something that the model does not have
+    let next = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. }).then(|| a.study());
     if a.json {
-        say(&diagnoser::report::to_json(&case.diagnosis).to_string());
+        let mut json = diagnoser::report::to_json(&case.diagnosis);
+        if let Some(next) = &next {
+            json["next_command"] = next.clone().into();
+        }
+        say(&json.to_string());
     } else {
         say(&case::to_text(&case));
+        if let Some(next) = &next {
+            say(&format!(
+                "next      {next}\n          (finds what is missing from the model)"
+            ));
+        }
     }
     if let Some(dir) = &a.plot {
         let d = &case.diagnosis;

@@ -11,8 +11,8 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct DiscrepancyArgs {
-    /// The actuator's parameters: what the simulation believes
-    #[arg(long)]
+    /// The actuator's parameters, a TOML file: what the simulation believes
+    #[arg(long, default_value = crate::discrepancy::REFERENCE)]
     model: PathBuf,
     /// What was measured: a bench file (datasets/benches/README.md), or a recording of telemetry
     #[arg(long)]

@@ -140,6 +140,10 @@ pub struct ActuatorArg {
 }
 
 impl ActuatorArg {
+    fn path(&self) -> Option<&std::path::Path> {
+        self.actuator.as_deref()
+    }
+
     fn read(&self) -> Result<Arc<ActuatorParameters>> {
         Ok(Arc::new(match &self.actuator {
             Some(path) => ActuatorParameters::read(path)?,

@@ -25,7 +25,7 @@ const FACTORS: [(f64, &str); 9] = [
 /// The likely cause of a ratio that should be 1.
 fn cause(ratio: f64, gear: f64) -> String {
     let size = ratio.abs().max(1e-300);
-    let near = |f: f64| [size / f, size * f].iter().any(|x| (0.8..1.25).contains(x));
+    let near = |f: f64| [size / f, size * f].iter().any(|x| (0.7..1.43).contains(x));
     if gear > 1.5 && near(gear) {
         return format!("a factor of {gear:.4}: the gear ratio (motor side for user side)");
     }

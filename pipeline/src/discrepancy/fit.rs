@@ -2,6 +2,7 @@
 
 use super::columns::{self, Form, RigConstants};
 use super::problem::{Nuisance, Problem};
+use super::shapes;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
@@ -271,7 +272,7 @@ impl<'a> Scan<'a> {
 
     /// The best shape of a kind: over its grid, then refined.
     pub fn best(&self, kind: EffectKind) -> Option<(Term, Score)> {
-        let shapes = columns::grid(kind, &self.problem.signals, self.constants);
+        let shapes = shapes::grid(kind, &self.problem.signals, self.constants);
         let scored: Vec<(Vec<f64>, Score)> = shapes
             .into_par_iter()
             .filter(|s| self.inside(kind, s))
@@ -284,9 +285,9 @@ impl<'a> Scan<'a> {
 
     /// Refines the shape parameters by a simplex search on the profile likelihood.
     pub fn refined(&self, kind: EffectKind, shape: &[f64], score: &Score, steps: usize) -> (Term, Score) {
-        let scales = columns::scales(kind);
+        let scales = shapes::scales(kind);
         let free: Vec<usize> = (0..scales.len()).filter(|i| scales[*i].is_some()).collect();
-        let limits = columns::limits(kind, &self.problem.signals);
+        let limits = shapes::limits(kind, &self.problem.signals);
         let plain = |x: &[f64]| -> Vec<f64> {
             let mut s = shape.to_vec();
             for (j, &i) in free.iter().enumerate() {

@@ -6,6 +6,7 @@ use super::columns;
 use super::fit::{self, Fit, Term};
 use super::problem::Problem;
 use super::select::Material;
+use super::shapes;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
@@ -55,7 +56,7 @@ fn jacobian(m: &Material, p: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
 }
 
 fn step(term: &Term, i: usize) -> f64 {
-    match columns::scales(term.kind)[i] {
+    match shapes::scales(term.kind)[i] {
         Some(true) => 0.01 * term.shape[i].abs().max(1e-12),
         _ if term.kind == EffectKind::TightSpot => 0.05 * term.shape[1],
         _ if term.kind == EffectKind::Backlash => 0.01 * term.shape[i].abs().max(1.0),
@@ -68,7 +69,7 @@ fn step(term: &Term, i: usize) -> f64 {
 fn free_shapes(terms: &[Term]) -> Vec<(usize, usize)> {
     let mut out = Vec::new();
     for (t, term) in terms.iter().enumerate() {
-        for (i, scale) in columns::scales(term.kind).iter().enumerate() {
+        for (i, scale) in shapes::scales(term.kind).iter().enumerate() {
             if scale.is_some() {
                 out.push((t, i));
             }

@@ -15,15 +15,17 @@ pub mod intervals;
 pub mod next;
 mod own;
 pub mod persist;
+pub mod places;
 pub mod problem;
 pub mod recording;
 pub mod remainder;
 mod run;
 pub mod select;
+pub mod shapes;
 pub mod signals;
 pub mod study;
 pub mod table;
 pub mod tell;
 pub mod units;
 
-pub use run::{Written, study_file, study_into};
+pub use run::{REFERENCE, Written, study_file, study_into};

@@ -11,6 +11,9 @@ use sim_worker::effect::{Effect, Note};
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
 
+/// Stands for the reference actuator in place of a file.
+pub const REFERENCE: &str = "reference";
+
 /// What a study has written, and what it found.
 pub struct Written {
     pub findings: Findings,
@@ -32,7 +35,11 @@ pub fn study_into(model: &Path, bench: &Path, out: &Path, tell: &dyn Fn(&str)) -
 
 fn studied(model: &Path, bench_file: &Path, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> Result<Written> {
     tell_user("reading");
-    let text = std::fs::read_to_string(model).map_err(|e| Error::io(model, "cannot be read", e))?;
+    let text = if model == Path::new(REFERENCE) {
+        ActuatorParameters::reference_text().to_string()
+    } else {
+        std::fs::read_to_string(model).map_err(|e| Error::io(model, "cannot be read", e))?
+    };
     let name = model.display().to_string();
     let actuator = ActuatorParameters::parse(&name, &text)?;
     let bench = Bench::open(bench_file, &actuator)?;

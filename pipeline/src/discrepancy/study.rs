@@ -214,30 +214,14 @@ impl Material {
     }
 }
 
-/// The model with nothing re-tuned and nothing added.
+/// The model with nothing re-tuned and nothing added; only the sensors' imperfections are allowed for.
 fn untouched(m: &Material) -> Fit {
-    let p = &m.fit;
-    let zero = Fit {
-        terms: Vec::new(),
-        nuisance: vec![0.0; m.nuisances.len()],
-        score: fit::Score {
-            log_likelihood: 0.0,
-            energy: [0.0; 5],
-            amplitudes: Vec::new(),
-        },
-        residual: Vec::new(),
-        sigma: p.floor.map(|f| f.max(1e-300)),
-    };
-    let residual = fit::predicted(p, &m.constants, &zero);
-    let energy = p.energy(&residual);
-    Fit {
-        residual,
-        score: fit::Score {
-            energy,
-            ..zero.score.clone()
-        },
-        ..zero
-    }
+    let mut fixed = m.nuisances.clone();
+    fixed
+        .iter_mut()
+        .filter(|n| n.of_machine)
+        .for_each(|n| n.trust = Some(1e-9));
+    fit::solve(&m.fit, &m.constants, &fixed, &[], m.first_sigma())
 }
 
 /// Runs the whole study; `tell` hears what is being done.

@@ -1,0 +1,392 @@
+//! The discrepancy study on data of the blind generator: names, silence, closed loop, and the measured
+//! pitfalls of the method.
+
+use ema_tests::blind::{self, Class, Forced, Setting, Spec};
+use pipeline::discrepancy::bench::Bench;
+use pipeline::discrepancy::findings::Findings;
+use pipeline::discrepancy::fit::admissible;
+use pipeline::discrepancy::recording::read_runs;
+use pipeline::discrepancy::select::Material;
+use pipeline::discrepancy::study::{Outcome, study};
+use pipeline::discrepancy::{REFERENCE, study_file, study_into};
+use sim_worker::effect::EffectKind;
+use sim_worker::parameters::ActuatorParameters;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn ema(args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ema-under-test"));
+    command.args(args).output().unwrap()
+}
+
+/// A case of the servo in a folder: its bench file.
+fn hidden(dir: &Path, seed: u64, class: Class, forced: Vec<Forced>) -> PathBuf {
+    let spec = Spec {
+        class,
+        setting: Setting::Matched,
+        severity: 1.0,
+        forced,
+        ..Spec::default()
+    };
+    let case = blind::case(seed, &spec);
+    let (data, keys) = (dir.join(format!("data-{seed}")), dir.join("keys"));
+    std::fs::create_dir_all(&data).unwrap();
+    std::fs::create_dir_all(&keys).unwrap();
+    case.write(&data, &keys).unwrap();
+    let direct = data.join("BENCH.toml");
+    if direct.exists() {
+        return direct;
+    }
+    let folders = std::fs::read_dir(&data).unwrap().flatten();
+    folders
+        .map(|e| e.path().join("BENCH.toml"))
+        .find(|p| p.exists())
+        .unwrap()
+}
+
+fn found(bench: &Path) -> Findings {
+    study_file(Path::new(REFERENCE), bench, &|_| {}).unwrap()
+}
+
+fn outcome(bench: &Path) -> Outcome {
+    let bench = Bench::read(bench, &ActuatorParameters::reference()).unwrap();
+    let runs = read_runs(&bench).unwrap();
+    study(Material::new(bench, runs, &[]), &|_| {})
+}
+
+/// Text of a file with a change, written beside it.
+fn changed(bench: &Path, from: &str, to: &str) -> PathBuf {
+    let text = std::fs::read_to_string(bench).unwrap();
+    assert!(text.contains(from), "{from} not in {text}");
+    let out = bench.with_file_name("CHANGED.toml");
+    std::fs::write(&out, text.replacen(from, to, 1)).unwrap();
+    out
+}
+
+#[test]
+fn prop_a_hidden_effect_is_named_with_its_parameters() {
+    let dir = tempfile::tempdir().unwrap();
+    let cogging = Forced::new("cogging", &[("amplitude", 0.006), ("order", 6.0), ("phase", 0.7)]).unwrap();
+    let f = found(&hidden(dir.path(), 1, Class::One, vec![cogging]));
+    assert_eq!(f.verdict, "named", "{}", f.sentence);
+    assert_eq!(f.effects[0].name, "cogging");
+    for (name, truth) in [("amplitude", 0.006), ("phase", 0.7), ("order", 6.0)] {
+        let p = f.effects[0].parameters.iter().find(|p| p.name == name).unwrap();
+        assert!((p.value - truth).abs() < 0.02 * truth, "{p:?}");
+        assert!(p.lo <= p.value && p.value <= p.hi, "{p:?}");
+    }
+    let held = f.gap.unwrap().heldout.unwrap();
+    assert!(
+        held.last < 1.1 * held.floor && held.retuned > 2.0 * held.floor,
+        "{held:?}"
+    );
+}
+
+#[test]
+fn prop_nothing_hidden_is_nothing_named() {
+    let dir = tempfile::tempdir().unwrap();
+    for seed in 1..4 {
+        let f = found(&hidden(dir.path(), seed, Class::Nothing, vec![]));
+        assert!(["none", "retune"].contains(&f.verdict.as_str()), "{}", f.sentence);
+        assert!(f.effects.is_empty());
+    }
+}
+
+#[test]
+fn prop_with_the_written_model_a_fresh_study_says_none() {
+    let dir = tempfile::tempdir().unwrap();
+    // the same machine (forced effect, same true constants by the seed), studied twice
+    let stribeck = || Forced::new("stribeck", &[("torque", 0.012), ("speed", 25.0), ("exponent", 1.5)]).unwrap();
+    let bench = hidden(dir.path(), 5, Class::One, vec![stribeck()]);
+    let out = dir.path().join("study");
+    let w = study_into(Path::new(REFERENCE), &bench, &out, &|_| {}).unwrap();
+    assert_eq!(w.findings.verdict, "named", "{}", w.findings.sentence);
+    let model = w.model.unwrap();
+    let a = ActuatorParameters::read(&model).unwrap();
+    assert_eq!(a.effects.len(), 1);
+    assert_eq!(a.effects[0].kind, EffectKind::Stribeck);
+    assert!(!a.effects[0].provenance.is_empty() && a.effects[0].parent.is_some());
+    // runs that the study did not use to fit: the held-out run finds, the first proves
+    let text = std::fs::read_to_string(&bench).unwrap();
+    let swapped =
+        text.replace("role = \"heldout\"", "role = \"x\"")
+            .replacen("role = \"fit\"", "role = \"heldout\"", 1);
+    let swapped = swapped.replace("role = \"x\"", "role = \"fit\"");
+    let fresh = bench.with_file_name("FRESH.toml");
+    std::fs::write(&fresh, swapped).unwrap();
+    let f = study_file(&model, &fresh, &|_| {}).unwrap();
+    assert_eq!(f.verdict, "none", "{}", f.sentence);
+    for file in ["report.html", "report.json", "actuator.toml"] {
+        assert!(out.join(file).exists());
+    }
+    let html = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(html.contains("stribeck") && html.contains("<svg"));
+}
+
+#[test]
+fn prop_faults_of_the_test_bench_come_out_as_what_they_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let sequence = |name: &str, f: f64, h: f64| {
+        let path = dir.path().join(name);
+        let text = format!(
+            "name = \"long\"\n[[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = {f:?}\n\
+             duration_s = 6.0\n[[segment]]\ncommand = \"step\"\nheight_rad = {h:?}\nduration_s = 1.0\n"
+        );
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    for (name, f, h) in [("a", 0.4, 0.4), ("b", 0.55, -0.3)] {
+        let s = sequence(&format!("{name}.toml"), f, h);
+        let out = dir.path().join(format!("{name}.parquet"));
+        let run = ema(&[
+            "run",
+            "--fsj",
+            "3",
+            "--zeta",
+            "0.3",
+            "--rate",
+            "1000",
+            "--channels",
+            "all",
+            "--sequence",
+            s.to_str().unwrap(),
+            "--out",
+            out.to_str().unwrap(),
+        ]);
+        assert!(run.status.success(), "{run:?}");
+    }
+    let bench = dir.path().join("BENCH.toml");
+    let text = r#"[rig]
+kind = "rotary"
+drive = "current"
+drive_constant = { value = 0.0752, unit = "N m/A", trust = 0.02 }
+inertia = { value = 2.5e-5, unit = "kg m2", trust = 0.10 }
+viscous = { value = 3e-5, unit = "N m s/rad", trust = 0.3 }
+coulomb = { value = 0.021, unit = "N m", trust = 0.3 }
+[channels]
+time = { column = "t", unit = "s" }
+position = { column = "theta_m", unit = "rad" }
+velocity = { column = "omega_m", unit = "rad/s" }
+current = { column = "i_q", unit = "A", sampling = "mean" }
+[[run]]
+file = "a.parquet"
+role = "fit"
+[[run]]
+file = "b.parquet"
+role = "heldout"
+"#;
+    std::fs::write(&bench, text).unwrap();
+    let f = found(&bench);
+    let coulomb = f.retuned.iter().find(|r| r.name == "coulomb").unwrap();
+    let factor = coulomb.value / coulomb.nominal.unwrap();
+    assert!((factor - 3.0).abs() < 0.1, "{factor}");
+    let e = f.effects.iter().find(|e| e.name == "eccentricity").expect(&f.sentence);
+    assert!((e.parameters[0].value - 0.3).abs() < 0.015, "{e:?}");
+}
+
+#[test]
+fn prop_bad_benches_are_told_in_one_line_with_the_likely_cause() {
+    let dir = tempfile::tempdir().unwrap();
+    let bench = hidden(dir.path(), 3, Class::Nothing, vec![]);
+    let csv = bench.with_file_name("fit1.csv");
+    let data = std::fs::read_to_string(&csv).unwrap();
+    let position = "position = { column = \"theta_m\", unit = \"rad\"";
+    let cases = [
+        (position, "position = { column = \"theta_m\", unit = \"mrad\"", "1000"),
+        (position, "position = { column = \"theta_m\", unit = \"turn\"", "2 pi"),
+        (
+            "column = \"omega_m\", unit = \"rad/s\"",
+            "column = \"omega_m\", unit = \"rpm\"",
+            "60/(2 pi)",
+        ),
+        (
+            "column = \"i_q\", unit = \"A\"",
+            "column = \"i_q\", unit = \"mA\"",
+            "1000",
+        ),
+        (
+            "column = \"i_q\", unit = \"A\"",
+            "column = \"i_q\", unit = \"A\", scale = -1",
+            "reversed sign",
+        ),
+        ("column = \"omega_m\"", "column = \"temperature\"", "swapped columns"),
+        ("unit = \"N m/A\"", "unit = \"mN m/A\"", "1000"),
+    ];
+    for (from, to, cause) in cases {
+        let said = refused(&changed(&bench, from, to));
+        assert!(said.contains(cause), "{to}: {said}");
+    }
+    // the data themselves
+    let broken = |edit: &dyn Fn(usize, &str) -> Option<String>| {
+        let lines: Vec<String> = data.lines().enumerate().filter_map(|(i, l)| edit(i, l)).collect();
+        std::fs::write(&csv, lines.join("\n")).unwrap();
+        let said = refused(&bench);
+        std::fs::write(&csv, &data).unwrap();
+        said
+    };
+    let nan = broken(&|i, l| {
+        Some(if i == 100 {
+            l.replacen(',', ",NaN,", 1)
+        } else {
+            l.into()
+        })
+    });
+    assert!(nan.contains("fit1.csv"), "{nan}");
+    let jump = broken(&|i, l| (!(200..400).contains(&i)).then(|| l.to_string()));
+    assert!(jump.contains("clock") && jump.contains("jumped"), "{jump}");
+    let still = broken(&|i, l| {
+        let mut cells: Vec<&str> = l.split(',').collect();
+        if i > 0 {
+            cells[2] = "1.5";
+        }
+        Some(cells.join(","))
+    });
+    assert!(
+        still.contains("never moves") || still.contains("speed of the position"),
+        "{still}"
+    );
+}
+
+/// The one line with which a bench is refused.
+fn refused(bench: &Path) -> String {
+    let out = ema(&["discrepancy", "--bench", bench.to_str().unwrap()]);
+    let said = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert_eq!(out.status.code(), Some(4), "{said}");
+    assert_eq!(said.trim().lines().count(), 1, "{said}");
+    said
+}
+
+#[test]
+fn prop_pitfall_an_amplitude_of_the_wrong_sign_is_no_effect() {
+    assert!(!admissible(EffectKind::Stribeck, &[-0.01]));
+    assert!(!admissible(EffectKind::TemperatureDependentFriction, &[0.01]));
+    assert!(admissible(EffectKind::ViscousAsymmetry, &[-1e-6]));
+    // friction that rises with speed is a Stribeck curve of negative amplitude: its own name is found
+    let dir = tempfile::tempdir().unwrap();
+    let rise = Forced::new("lubricated_rise", &[("torque", 0.01), ("speed", 30.0)]).unwrap();
+    let o = outcome(&hidden(dir.path(), 8, Class::One, vec![rise]));
+    assert_eq!(o.model.terms[0].kind, EffectKind::LubricatedRise);
+    let signs = |t: &pipeline::discrepancy::fit::Term| admissible(t.kind, &t.amplitudes);
+    assert!(o.steps.iter().flat_map(|s| &s.ranked).all(|r| signs(&r.term)));
+}
+
+#[test]
+fn prop_pitfall_orders_between_whole_ones_are_refined() {
+    let dir = tempfile::tempdir().unwrap();
+    let cogging = Forced::new("cogging", &[("amplitude", 0.006), ("order", 3.4), ("phase", 0.2)]).unwrap();
+    let f = found(&hidden(dir.path(), 9, Class::One, vec![cogging]));
+    // 3.4 is on no grid: whatever is said of cogging, no whole order is made of it
+    let orders = f
+        .effects
+        .iter()
+        .filter(|e| e.name == "cogging")
+        .map(|e| e.parameters[2].value);
+    assert!(
+        orders
+            .into_iter()
+            .all(|o| (o - o.round()).abs() > 0.02 || f.verdict == "unknown"),
+        "{}",
+        f.sentence
+    );
+}
+
+#[test]
+fn prop_pitfall_point_sampled_against_mean_is_a_clock_and_no_effect() {
+    let dir = tempfile::tempdir().unwrap();
+    let bench = hidden(dir.path(), 4, Class::Nothing, vec![]);
+    // half a sample of misalignment that the bench file does not know of
+    let wrong = changed(
+        &bench,
+        "position = { column = \"theta_m\", unit = \"rad\", sampling = \"mean\"",
+        "position = { column = \"theta_m\", unit = \"rad\", delay_s = 0.0003, sampling = \"mean\"",
+    );
+    let f = found(&wrong);
+    let shapes = ["torque_saturation", "quadratic_drag", "spring_load"];
+    assert!(
+        f.effects.iter().all(|e| !shapes.contains(&e.name.as_str())),
+        "{}",
+        f.sentence
+    );
+}
+
+#[test]
+fn prop_pitfall_kt_is_not_known_from_torque_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let bench = hidden(dir.path(), 6, Class::Nothing, vec![]);
+    let text = std::fs::read_to_string(&bench).unwrap();
+    let blind: String = text
+        .lines()
+        .filter(|l| !l.starts_with("voltage") && !l.starts_with("load"))
+        .map(|l| format!("{l}\n"))
+        .collect();
+    let path = bench.with_file_name("BLIND.toml");
+    std::fs::write(&path, blind).unwrap();
+    let width = |f: &Findings| {
+        let kt = f.retuned.iter().find(|r| r.name == "torque_constant").unwrap();
+        (kt.hi - kt.lo) / kt.value
+    };
+    let (with, without) = (width(&found(&bench)), width(&found(&path)));
+    assert!(without > 3.0 * with, "{with} {without}");
+    let f = found(&path);
+    assert!(f.missing.iter().any(|m| m.0 == "voltage") && f.missing.iter().any(|m| m.0 == "load"));
+}
+
+/// The folder of measured data, or a word that it is not there.
+fn measured() -> Option<String> {
+    let dir = std::env::var("EMA_BENCH_DIR").ok();
+    if dir.is_none() {
+        println!("skipped: EMA_BENCH_DIR not set");
+    }
+    dir
+}
+
+fn datasets(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../datasets").join(path)
+}
+
+#[test]
+fn val_emps_two_effects_and_more_are_named() {
+    if measured().is_none() {
+        return;
+    }
+    let f = study_file(
+        &datasets("parameters/emps.toml"),
+        &datasets("benches/emps.toml"),
+        &|_| {},
+    )
+    .unwrap();
+    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
+    assert!(names.len() >= 2, "{}", f.sentence);
+    for wanted in ["viscous_asymmetry", "lubricated_rise", "control_delay"] {
+        assert!(names.contains(&wanted), "{names:?}");
+    }
+    let told = &f.facts.iter().find(|x| x.0.starts_with("relative error")).unwrap().1;
+    let last: f64 = told
+        .rsplit("final ")
+        .next()
+        .unwrap()
+        .trim_end_matches(" %")
+        .parse()
+        .unwrap();
+    assert!(last <= 2.6, "{told}");
+}
+
+#[test]
+fn val_cranfield_health_is_none_and_dry_screws_are_friction() {
+    if measured().is_none() {
+        return;
+    }
+    let verdict = |state: &str| {
+        let bench = datasets(&format!("benches/cranfield_{state}.toml"));
+        study_file(&datasets("parameters/screw_drive.toml"), &bench, &|_| {}).unwrap()
+    };
+    assert_eq!(verdict("normal").verdict, "none");
+    let dry = verdict("lack_lubrication1");
+    assert_eq!(dry.verdict, "retune");
+    assert!(
+        dry.retuned.iter().any(|r| r.name == "coulomb" && r.lo > 0.05),
+        "{:?}",
+        dry.retuned
+    );
+    assert_eq!(verdict("backlash1").verdict, "unknown");
+}
