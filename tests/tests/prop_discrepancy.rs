@@ -369,6 +369,8 @@ fn val_emps_two_effects_and_more_are_named() {
         .parse()
         .unwrap();
     assert!(last <= 2.6, "{told}");
+    let closed = f.closed_loop.iter().find(|c| c.heldout).unwrap();
+    assert!(closed.last < 0.033 && closed.last < 0.7 * closed.nominal, "{closed:?}");
 }
 
 #[test]

@@ -167,57 +167,61 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
                 return Err(Error::bad(file, column(C::Voltage), found, "0.2 to 5 times"));
             }
         }
-        if run.role != Role::Baseline {
-            drive(bench, run, &smooth, speed)?;
-        }
+    }
+    // all that comes from one file together: a piece of it may be nothing but braking
+    let mut files: Vec<&str> = runs.iter().map(|r| r.hash.as_str()).collect();
+    files.dedup();
+    for hash in files {
+        let of_file = |r: &&Run| r.hash == hash && !r.steady && r.role != Role::Baseline;
+        drive(bench, &runs.iter().filter(of_file).collect::<Vec<_>>())?;
     }
     Ok(())
 }
 
-/// The drive signal against the torque that the nominal constants ask for.
-fn drive(bench: &Bench, run: &Run, smooth: &FilterBank, speed: Option<Vec<f64>>) -> Result<()> {
+/// The drive signal against the torque that the nominal constants ask for, over the runs of a file.
+fn drive(bench: &Bench, runs: &[&Run]) -> Result<()> {
     use BenchChannel as C;
     let rig = &bench.rig;
-    let Some(spec) = bench.channel(rig.drive) else {
+    let (Some(spec), Some(run)) = (bench.channel(rig.drive), runs.first()) else {
         return Ok(());
     };
-    let Some(u) = run.channel(rig.drive) else { return Ok(()) };
     let place = format!("channel `{}`, column `{}`", rig.drive.name(), spec.column);
-    let (w, a) = match (run.channel(C::Position), run.channel(C::Velocity)) {
-        (Some(x), _) => (speed.expect("there is a position"), smooth.whole(2, x)),
-        (None, Some(w)) => (smooth.whole(0, w), smooth.whole(1, w)),
-        _ => {
-            return Err(Error::bad(
-                &run.name,
-                "channels",
-                "neither position nor velocity",
-                "one of them",
-            ));
-        }
-    };
-    let u: Vec<f64> = smooth
-        .whole(0, u)
-        .iter()
-        .map(|u| u * rig.drive_constant.value)
-        .collect();
-    let load = run.channel(C::Load).map(|x| smooth.whole(0, x));
-    let fastest = w.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
-    // moving clearly: friction has its sign, and standing samples tell nothing
-    let rows: Vec<usize> = (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest).collect();
     let mut g = nalgebra::Matrix4::<f64>::zeros();
     let mut r = nalgebra::Vector4::<f64>::zeros();
     let mut energy = 0.0;
-    for &k in &rows {
-        let x = nalgebra::Vector4::new(
-            a[k] * rig.inertia.value,
-            w[k] * rig.viscous.value.max(1e-12),
-            w[k].signum() * rig.coulomb.value.max(1e-12),
-            1.0,
-        );
-        let y = u[k] - load.as_ref().map_or(0.0, |l| l[k]);
-        g += x * x.transpose();
-        r += x * y;
-        energy += y * y;
+    for run in runs {
+        let smooth = FilterBank::new(0.03 * run.rate_hz, run.rate_hz, 0.0);
+        let Some(u) = run.channel(rig.drive) else {
+            return Ok(());
+        };
+        let (w, a) = match (run.channel(C::Position), run.channel(C::Velocity)) {
+            (Some(x), _) => (smooth.whole(1, x), smooth.whole(2, x)),
+            (None, Some(w)) => (smooth.whole(0, w), smooth.whole(1, w)),
+            _ => {
+                let found = "neither position nor velocity";
+                return Err(Error::bad(&run.name, "channels", found, "one of them"));
+            }
+        };
+        let u: Vec<f64> = smooth
+            .whole(0, u)
+            .iter()
+            .map(|u| u * rig.drive_constant.value)
+            .collect();
+        let load = run.channel(C::Load).map(|x| smooth.whole(0, x));
+        let fastest = w.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        // moving clearly: friction has its sign, and standing samples tell nothing
+        for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest) {
+            let x = nalgebra::Vector4::new(
+                a[k] * rig.inertia.value,
+                w[k] * rig.viscous.value.max(1e-12),
+                w[k].signum() * rig.coulomb.value.max(1e-12),
+                1.0,
+            );
+            let y = u[k] - load.as_ref().map_or(0.0, |l| l[k]);
+            g += x * x.transpose();
+            r += x * y;
+            energy += y * y;
+        }
     }
     let scale = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
     let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (scale[i] * scale[j]) + if i == j { 1e-9 } else { 0.0 });

@@ -137,6 +137,8 @@ pub struct Findings {
     pub facts: Vec<(String, String)>,
     /// what is assumed
     pub assumptions: Vec<String>,
+    /// the rig in closed loop with its known controller; empty without one
+    pub closed_loop: Vec<super::closed_loop::ClosedLoop>,
 }
 
 fn line(g: &GapLine) -> Value {
@@ -219,6 +221,11 @@ impl Findings {
             "missing_channels": self.missing.iter().map(|(n, w)| json!({ "channel": n, "opens": w })).collect::<Vec<_>>(),
             "unnamed_share": self.unnamed_share,
             "unnamed": self.unnamed,
+            "closed_loop": self.closed_loop.iter().map(|c| json!({
+                "run": c.run, "heldout": c.heldout,
+                "drive": { "nominal": c.nominal, "final": c.last },
+                "position": { "nominal": c.position_nominal, "final": c.position_last },
+            })).collect::<Vec<_>>(),
             "next_command": self.next_command,
             "next_reason": self.next_reason,
             "model": self.model,

@@ -586,13 +586,7 @@ pub fn predicted(p: &Problem, c: &RigConstants, fit: &Fit) -> Vec<f64> {
     let regs = regressors(p, &fit.terms, c);
     let (mut r, further) = assembled(p, &regs);
     let amplitudes = fit.terms.iter().flat_map(|t| &t.amplitudes);
-    for (x, col) in fit
-        .nuisance
-        .iter()
-        .zip(&p.base)
-        .map(|(x, c)| (x, c))
-        .chain(amplitudes.zip(further))
-    {
+    for (x, col) in fit.nuisance.iter().zip(&p.base).chain(amplitudes.zip(further)) {
         r.iter_mut().zip(col.iter()).for_each(|(r, c)| *r -= x * c);
     }
     without_local(p, r, &fit.sigma)

@@ -116,6 +116,9 @@ fn scores(
     (blocks.into_values().collect(), runs.into_values().collect())
 }
 
+/// Moves one number of a term.
+type Change = Box<dyn Fn(&mut Term, f64)>;
+
 /// Intervals of a fitted model.
 pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
     let p = &m.fit;
@@ -207,7 +210,7 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
     let mut terms = Vec::new();
     let mut first = amplitudes_at;
     for (t, term) in fit.terms.iter().enumerate() {
-        let mut vary: Vec<(usize, Box<dyn Fn(&mut Term, f64)>, f64)> = Vec::new();
+        let mut vary: Vec<(usize, Change, f64)> = Vec::new();
         for i in 0..term.amplitudes.len() {
             let d = 1e-4 * term.amplitudes.iter().fold(1e-12, |m: f64, a| m.max(a.abs()));
             vary.push((first + i, Box::new(move |x: &mut Term, d: f64| x.amplitudes[i] += d), d));

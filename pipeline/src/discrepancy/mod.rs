@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod check;
+pub mod closed_loop;
 pub mod columns;
 pub mod compare;
 mod compare_motion;

@@ -160,33 +160,29 @@ pub fn profiles(o: &Outcome) -> Vec<Profile> {
                 continue;
             }
             let n = edges.len() + 1;
-            let mut sums = vec![(0.0, 0.0, 0.0, 0.0); n];
+            let mut sums = vec![[0.0; 4]; n];
             for b in p.blocks.iter().filter(|b| b.equation == e) {
                 for (row, &k) in b.rows.clone().zip(&b.samples) {
                     let x = r.value(&p.signals[b.run], k);
                     let s = &mut sums[remainder::bin(&edges, x)];
-                    *s = (
-                        s.0 + 1.0,
-                        s.1 + x,
-                        s.2 + o.retuned.residual[row],
-                        s.3 + o.model.residual[row],
-                    );
+                    let new = [1.0, x, o.retuned.residual[row], o.model.residual[row]];
+                    s.iter_mut().zip(new).for_each(|(s, x)| *s += x);
                 }
             }
-            sums.retain(|s| s.0 > 0.0);
-            let mean =
-                |f: &dyn Fn(&(f64, f64, f64, f64)) -> f64| -> Vec<f64> { sums.iter().map(|s| f(s) / s.0).collect() };
+            sums.retain(|s| s[0] > 0.0);
+            let mean = |i: usize| -> Vec<f64> { sums.iter().map(|s| s[i] / s[0]).collect() };
             let profile = Profile {
                 equation: e.name().to_string(),
                 unit: e.unit().to_string(),
                 signal: r.name().to_string(),
                 signal_unit: r.unit().to_string(),
-                at: mean(&|s| s.1),
-                retuned: mean(&|s| s.2),
-                last: mean(&|s| s.3),
+                at: mean(1),
+                retuned: mean(2),
+                last: mean(3),
             };
-            let told: f64 =
-                sums.iter().map(|s| s.2 * s.2 / s.0).sum::<f64>() / p.floor_of(e).powi(2) / p.rows_of(e).max(1) as f64;
+            let told: f64 = sums.iter().map(|s| s[2] * s[2] / s[0]).sum::<f64>()
+                / p.floor_of(e).powi(2)
+                / p.rows_of(e).max(1) as f64;
             scored.push((told, profile));
         }
     }

@@ -14,6 +14,8 @@ use std::ops::Range;
 const SENSOR_GAIN: f64 = 0.006;
 const SENSOR_OFFSET: f64 = 0.1;
 const SENSOR_CLOCK: f64 = 0.15;
+/// Offset of a voltage over its noise, one sigma (assumed): amplifiers drift more than current sensors.
+const VOLTAGE_OFFSET: f64 = 0.4;
 /// Mains frequencies looked for [Hz].
 pub const MAINS_HZ: [f64; 2] = [50.0, 60.0];
 
@@ -136,7 +138,11 @@ pub fn nuisances(bench: &Bench, noise: &NoiseTable, equations: &[Equation]) -> V
         out.push(machine("resistance", &rig.resistance, "ohm"));
         out.push(machine("inductance", &rig.inductance, "H"));
         out.push(sensor("drive_gain", SENSOR_GAIN, "-"));
-        out.push(sensor("voltage_offset", noise_of(BenchChannel::Voltage), "V"));
+        out.push(sensor(
+            "voltage_offset",
+            VOLTAGE_OFFSET * noise_of(BenchChannel::Voltage),
+            "V",
+        ));
         out.push(sensor("voltage_gain", SENSOR_GAIN, "-"));
         out.push(sensor("voltage_clock", SENSOR_CLOCK, "sample"));
     }

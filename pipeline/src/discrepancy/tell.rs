@@ -1,6 +1,7 @@
 //! From a study's numbers to what is said of them.
 
 use super::bench::BenchChannel;
+use super::closed_loop::{ClosedLoop, closed_loop};
 use super::findings::*;
 use super::fit::{self, Fit};
 use super::intervals::{self, Intervals};
@@ -57,6 +58,7 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
     };
     let regions = places::regions(m, &o.retuned);
     let unnamed = matches!(o.verdict, Verdict::Unknown | Verdict::NamedWithRemainder).then(|| unnamed(o, &regions));
+    let closed = closed_loop(o);
     let mut f = Findings {
         model: model_file.to_string(),
         bench: m.bench.file.clone(),
@@ -77,7 +79,8 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
         unnamed,
         profiles: places::profiles(o),
         traces: places::traces(o),
-        facts: facts(o),
+        facts: facts(o, &closed),
+        closed_loop: closed,
         assumptions: assumptions(m),
         ..Findings::default()
     };
@@ -391,7 +394,7 @@ fn unnamed(o: &Outcome, regions: &[Region]) -> String {
     )
 }
 
-fn facts(o: &Outcome) -> Vec<(String, String)> {
+fn facts(o: &Outcome, closed: &[ClosedLoop]) -> Vec<(String, String)> {
     let m = &o.material;
     let runs: Vec<String> = m
         .runs
@@ -434,7 +437,7 @@ fn facts(o: &Outcome) -> Vec<(String, String)> {
         relative(&o.held_retuned, kt),
         relative(&o.held_model, kt),
     );
-    vec![
+    let mut out = vec![
         (
             "relative error of the drive signal".into(),
             format!("nominal {nominal}, re-tuned {retuned}, final {last}"),
@@ -460,7 +463,26 @@ fn facts(o: &Outcome) -> Vec<(String, String)> {
             "left out of the torque equation".into(),
             format!("{masked} of {} rows, at rest or turning round", rows + masked),
         ),
-    ]
+    ];
+    let mut shown: Vec<&ClosedLoop> = closed.iter().filter(|c| c.heldout).collect();
+    if shown.is_empty() {
+        shown = closed.iter().collect();
+    }
+    if !shown.is_empty() {
+        let rms = |f: fn(&ClosedLoop) -> f64| {
+            100.0 * (shown.iter().map(|c| f(c).powi(2)).sum::<f64>() / shown.len() as f64).sqrt()
+        };
+        let data = if shown[0].heldout { "held-out" } else { "fit" };
+        out.push((
+            "relative error of the drive signal in closed loop".into(),
+            format!(
+                "nominal {:.3} %, final {:.3} % ({data} runs)",
+                rms(|c| c.nominal),
+                rms(|c| c.last)
+            ),
+        ));
+    }
+    out
 }
 
 fn assumptions(m: &Material) -> Vec<String> {
