@@ -266,10 +266,9 @@ fn leaderboard(f: &Findings) -> Option<Section> {
         return None;
     }
     let first = usize::from(!steps.contains(&0));
-    let tables = steps.iter().enumerate().map(|(i, step)| {
-        let taken = f.effects.get(i);
+    let tables = steps.iter().map(|step| {
         let rows = f.leaders.iter().filter(|l| l.step == *step).map(|l| {
-            let named = taken.is_some_and(|e| e.name == l.name);
+            let named = l.note.starts_with("taken");
             let cells = [
                 l.name.clone(),
                 number(l.gain, if l.gain.abs() < 1000.0 { 3 } else { 4 }),

@@ -82,6 +82,8 @@ pub struct Step {
     /// 2.5 % quantile of the held-out gain over its mean
     pub held_low: f64,
     pub accepted: bool,
+    /// what was added: one effect, or two that only go together
+    pub taken: Vec<EffectKind>,
     pub why_not: &'static str,
 }
 
@@ -401,6 +403,7 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked]) -
         held_after,
         held_low: low / mean.abs().max(1e-300),
         accepted: why_not.is_empty(),
+        taken: next.terms[model.terms.len()..].iter().map(|t| t.kind).collect(),
         why_not,
         ranked: ranked.to_vec(),
     }

@@ -178,7 +178,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     }
                 })
                 .collect();
-            let step = accepted.get(t.min(accepted.len().saturating_sub(1)));
+            let step = accepted.iter().find(|s| s.taken.contains(&term.kind));
             let runner_up = step.and_then(|s| s.ranked.iter().map(|r| r.term.kind).find(|k| *k != term.kind));
             let share = step.map_or(0.0, |s| {
                 let by = shares(m.held_problem(), &s.held_before, &s.held_after);
@@ -249,8 +249,11 @@ fn leaders(o: &Outcome) -> Vec<Leader> {
             let own = by[index(r.term.kind.equation())]
                 .or(by.into_iter().flatten().next())
                 .unwrap_or(0.0);
-            let note = match (j, s.accepted) {
-                (0, true) => "taken",
+            let taken = s.accepted && s.taken.contains(&r.term.kind);
+            let note = match (j, taken) {
+                (_, true) if s.taken.len() > 1 => "taken, only together",
+                (_, true) => "taken",
+                (0, false) if s.accepted => "refused on held-out data",
                 (0, false) => s.why_not,
                 _ => "",
             };
