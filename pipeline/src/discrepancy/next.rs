@@ -82,49 +82,62 @@ pub fn next(f: &mut Findings, out: Option<&Path>, model: Option<&Path>, bench: &
         .iter()
         .find_map(|e| e.ambiguous_with.first().map(|o| (e.name.clone(), o.clone())))
         .filter(|_| f.verdict == "ambiguous" || f.effects.iter().any(|e| !e.ambiguous_with.is_empty()));
-    if let Some((a, b)) = pair {
-        let e = separating(&a, &b);
-        let file = out.unwrap_or(Path::new(".")).join("next_sequence.toml");
+    let experiment = match (&pair, f.verdict.as_str()) {
+        (Some((a, b)), _) => {
+            let why = format!("{a} and {b} cannot be told apart: drive the rig with this sequence");
+            Some((separating(a, b), format!("Tells {a} from {b}"), why))
+        }
+        (None, "unknown") => {
+            let why = "what is missing has no name: a recording under this sequence shows it alone".to_string();
+            Some((&STAIRCASE, "For a gap without a name".to_string(), why))
+        }
+        _ => None,
+    };
+    let study = format!(
+        "ema discrepancy --model {} --bench {} --out study",
+        f.model,
+        bench.display()
+    );
+    if let Some((e, title, why)) = experiment {
+        f.next_reason = format!("{why} ({}), and study its recording along", e.why);
+        let Some(out) = out else {
+            f.next_command = Some(study);
+            f.next_reason += "; with --out the sequence is written";
+            return None;
+        };
+        let file = out.join("next_sequence.toml");
+        f.next_command = Some(format!("ema run --sequence {} --out next.csv", shown(&file)));
         let text = format!(
-            "# Tells {a} from {b}: {}. Amplitudes are assumed.\nname = \"{}\"\n\n{}",
+            "# {title}: {}. Amplitudes are assumed.\nname = \"{}\"\n\n{}",
             e.why, e.name, e.segments
         );
-        f.next_command = Some(format!("ema run --sequence {} --out next.csv", shown(&file)));
-        f.next_reason = format!(
-            "{a} and {b} cannot be told apart: drive the rig with this sequence ({}), add the recording to {} and study again",
-            e.why,
-            bench.display()
-        );
-        return out.map(|_| (file, text));
+        return Some((file, text));
     }
     match (f.verdict.as_str(), model) {
-        ("named" | "named_with_remainder" | "retune" | "ambiguous", Some(model)) => {
+        ("named" | "named_with_remainder" | "retune", Some(model)) => {
             f.next_command = Some(format!("ema diagnose RECORDING --actuator {}", shown(model)));
             f.next_reason = "simulator, simplified model, maps and diagnosis use what was found from this file".into();
         }
-        ("unknown", _) => {
-            let file = out.unwrap_or(Path::new(".")).join("next_sequence.toml");
-            let e = &STAIRCASE;
-            let text = format!(
-                "# {}. Amplitudes are assumed.\nname = \"{}\"\n\n{}",
-                e.why, e.name, e.segments
-            );
-            f.next_command = Some(format!("ema run --sequence {} --out next.csv", shown(&file)));
-            f.next_reason = format!(
-                "what is missing has no name: a recording under this sequence shows it alone ({})",
-                e.why
-            );
-            return out.map(|_| (file, text));
-        }
         ("named" | "named_with_remainder" | "retune", None) => {
-            f.next_command = Some(format!(
-                "ema discrepancy --model {} --bench {} --out study",
-                f.model,
-                bench.display()
-            ));
+            f.next_command = Some(study);
             f.next_reason = "writes the model with what was found".into();
         }
         _ => f.next_reason = "nothing".into(),
     }
     None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use schemas::sequence::TestSequence;
+
+    #[test]
+    fn every_experiment_is_a_sequence() {
+        for e in [&STAIRCASE, &CHIRP, &STEPS, &LOADS] {
+            let text = format!("name = \"{}\"\n\n{}", e.name, e.segments);
+            let section = schemas::toml_section::parse(e.name, &text).unwrap();
+            assert!(TestSequence::from_section(section).unwrap().duration_s() > 4.0);
+        }
+    }
 }
