@@ -1,27 +1,12 @@
 //! Tables and figures of the gap for the discrepancy report, and how its numbers are written.
 
 use super::findings::{ChannelGap, Findings, GapLine, Identified, Profile, Trace};
+pub(super) use crate::report::escape;
 use crate::report::{Figure, Table, TableRow, TracePlot};
 use std::fmt::Write as _;
 
 /// What stands for a number that there is not.
 pub(super) const NOTHING: &str = "\u{2013}";
-
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c if c.is_control() && !matches!(c, '\n' | '\t') => out.push(' '),
-            c => out.push(c),
-        }
-    }
-    out
-}
 
 /// Power of ten of the first digit.
 fn decade(v: f64) -> i32 {

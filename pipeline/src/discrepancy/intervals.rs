@@ -9,7 +9,7 @@ use super::select::Material;
 use super::shapes;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
-use sim_worker::effect::{Effect, EffectKind, Equation};
+use sim_worker::effect::{Effect, EffectKind};
 
 /// Length of a block [s] (assumed: longer than any memory of residuals seen).
 const BLOCK_S: f64 = 0.5;
@@ -100,7 +100,7 @@ fn scores(
     let mut blocks = std::collections::BTreeMap::<(usize, usize), DVector<f64>>::new();
     let mut runs = std::collections::BTreeMap::<usize, DVector<f64>>::new();
     for b in &p.blocks {
-        let e = Equation::ALL.iter().position(|x| *x == b.equation).expect("one of all");
+        let e = b.equation.index();
         let w = 1.0 / sigma[e].powi(2);
         for (row, &k) in b.rows.clone().zip(&b.samples) {
             let r = residual[row] * w;

@@ -6,7 +6,7 @@ use super::problem::Problem;
 use super::remainder::{self, Regressor};
 use super::select::Material;
 use super::study::Outcome;
-use super::tell::{channel, index, to_channel};
+use super::tell::{channel, to_channel};
 use sim_worker::effect::Equation;
 
 /// Bins of a search for regions.
@@ -19,7 +19,7 @@ pub fn regions(m: &Material, fit: &Fit) -> Vec<Region> {
     for &e in m.equations.iter().filter(|e| **e != Equation::Controller) {
         let rows = p.rows_of(e);
         let floor2 = p.floor_of(e).powi(2);
-        let energy = fit.score.energy[index(e)];
+        let energy = fit.score.energy[e.index()];
         let excess = energy - rows as f64 * floor2;
         if excess < 0.25 * rows as f64 * floor2 {
             continue;

@@ -6,7 +6,7 @@ use super::columns::{Column, RigConstants};
 use super::filter::FilterBank;
 use super::recording::Run;
 use super::signals::{Clock, NoiseTable, Signals};
-use sim_worker::effect::{Constants, Equation};
+use sim_worker::effect::{Constants, Equation, Play};
 use std::ops::Range;
 
 /// Uncertainty of what is never perfect in sensors, one sigma (assumed): gain, offset over noise,
@@ -90,10 +90,6 @@ pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
         encoder: (0.0, 0.0),
         speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
     }
-}
-
-fn index(e: Equation) -> usize {
-    Equation::ALL.iter().position(|x| *x == e).expect("one of all")
 }
 
 /// The nuisance parameters of a bench: the machine's, then the sensors'.
@@ -414,14 +410,14 @@ impl Problem {
     }
 
     pub fn floor_of(&self, e: Equation) -> f64 {
-        self.floor[index(e)]
+        self.floor[e.index()]
     }
 
     /// One over the floor of each row's equation.
     pub fn weights(&self, sigma: &[f64; 5]) -> Vec<f64> {
         let mut w = vec![0.0; self.rows];
         for b in &self.blocks {
-            w[b.rows.clone()].fill(1.0 / sigma[index(b.equation)]);
+            w[b.rows.clone()].fill(1.0 / sigma[b.equation.index()]);
         }
         w
     }
@@ -430,7 +426,7 @@ impl Problem {
     pub fn energy(&self, r: &[f64]) -> [f64; 5] {
         let mut out = [0.0; 5];
         for b in &self.blocks {
-            out[index(b.equation)] += r[b.rows.clone()].iter().map(|x| x * x).sum::<f64>();
+            out[b.equation.index()] += r[b.rows.clone()].iter().map(|x| x * x).sum::<f64>();
         }
         out
     }
@@ -446,14 +442,9 @@ fn within(bank: &FilterBank, order: usize, x: &[f64], k: usize) -> f64 {
 fn played(s: &Signals, half: f64) -> Vec<f64> {
     let theta = &s.theta;
     let lag = s.user.as_ref().map_or(0.0, |u| u[0] - s.position[0]);
-    let mut u = theta[0] + if lag.abs() <= 1.05 * half { lag } else { 0.0 };
-    theta
-        .iter()
-        .map(|t| {
-            u = u.clamp(t - half, t + half);
-            u
-        })
-        .collect()
+    let start = theta[0] + if lag.abs() <= 1.05 * half { lag } else { 0.0 };
+    let mut play = Play::new(2.0 * half, start);
+    theta.iter().map(|t| play.step(*t)).collect()
 }
 
 /// Correlation of filtered white noise over `lag` samples.

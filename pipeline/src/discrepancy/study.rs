@@ -150,7 +150,7 @@ impl Material {
         let length = self.clock.block(BLOCK_S);
         let mut blocks: std::collections::BTreeMap<(usize, usize), f64> = Default::default();
         for b in &held.blocks {
-            let e = Equation::ALL.iter().position(|x| *x == b.equation).expect("one of all");
+            let e = b.equation.index();
             for (row, &k) in b.rows.clone().zip(&b.samples) {
                 let d = (before[row].powi(2) - after[row].powi(2)) / sigma[e].powi(2);
                 *blocks.entry((b.run, k / length)).or_default() += d;
@@ -464,12 +464,7 @@ fn conclude(m: &Material, nominal: &Fit, retuned: &Fit, model: &Fit, ambiguous: 
     let counted = (0..5).filter(|e| counts(*e)).filter_map(|e| by_equation[e]);
     let worst = counted.fold(1.0, |a: f64, b| a.min(b));
     // an effect is not that which leaves its own equation unexplained
-    let own = |t: &Term| {
-        Equation::ALL
-            .iter()
-            .position(|e| *e == t.kind.equation())
-            .and_then(|e| by_equation[e])
-    };
+    let own = |t: &Term| by_equation[t.kind.equation().index()];
     let stranger = model.terms.iter().filter_map(own).any(|s| s < NAMED_SHARE);
     let gaps = m.over_floor(held, &after);
     // only what the sensors are known to add can be held against a name

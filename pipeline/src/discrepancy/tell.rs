@@ -35,12 +35,8 @@ pub(super) fn to_channel(m: &Material, e: Equation) -> f64 {
     }
 }
 
-pub(super) fn index(e: Equation) -> usize {
-    Equation::ALL.iter().position(|x| *x == e).expect("one of all")
-}
-
 fn rms(p: &Problem, e: Equation, energy: &[f64; 5]) -> f64 {
-    (energy[index(e)] / p.rows_of(e).max(1) as f64).sqrt()
+    (energy[e.index()] / p.rows_of(e).max(1) as f64).sqrt()
 }
 
 /// Everything that a study has to say, but for what is written into the model.
@@ -182,7 +178,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
             let runner_up = step.and_then(|s| s.ranked.iter().map(|r| r.term.kind).find(|k| *k != term.kind));
             let share = step.map_or(0.0, |s| {
                 let by = shares(m.held_problem(), &s.held_before, &s.held_after);
-                by[index(term.kind.equation())]
+                by[term.kind.equation().index()]
                     .or(by.into_iter().flatten().next())
                     .unwrap_or(0.0)
             });
@@ -246,7 +242,7 @@ fn leaders(o: &Outcome) -> Vec<Leader> {
             let e = fit::effect_of(&r.term, &m.constants, &m.fit);
             let parameters: Vec<String> = e.parameters().map(|(k, v)| told(k.name, v, k.unit)).collect();
             let by = shares(&m.fit, &s.before, &r.score.energy);
-            let own = by[index(r.term.kind.equation())]
+            let own = by[r.term.kind.equation().index()]
                 .or(by.into_iter().flatten().next())
                 .unwrap_or(0.0);
             let taken = s.accepted && s.taken.contains(&r.term.kind);
@@ -427,7 +423,7 @@ fn facts(o: &Outcome, closed: &[ClosedLoop]) -> Vec<(String, String)> {
         }
     }
     let drive = (sum / f64::max(count, 1.0)).sqrt();
-    let e = index(Equation::Torque);
+    let e = Equation::Torque.index();
     let relative = |energy: &[f64; 5], kt: f64| {
         format!(
             "{:.3} %",

@@ -225,7 +225,7 @@ fn replace(dir: &Path, name: &str, content: &str) -> Result<()> {
 }
 
 /// Replaces the characters which have a meaning in HTML and XML.
-fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

@@ -24,6 +24,11 @@ impl Equation {
         Self::Controller,
     ];
 
+    /// Its place in [`Equation::ALL`].
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
     pub fn name(self) -> &'static str {
         match self {
             Self::Torque => "torque",
