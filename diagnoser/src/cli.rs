@@ -1,7 +1,7 @@
 //! Arguments of the live diagnoser, for the programs `diagnoser` and `ema live`.
 
 use crate::live::Known;
-use crate::map_library::MapLibrary;
+use crate::map_library::{Choice, MapLibrary};
 use crate::receive::{Counts, MapSource, Options, Show, no_maps, receive};
 use clap::{Args, Parser};
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
@@ -45,6 +45,12 @@ pub struct LiveArgs {
     /// Saved maps: file, folder with maps.parquet, or folder of such folders
     #[arg(long, value_name = "PATH")]
     pub maps: Vec<PathBuf>,
+    /// Spread from unit to unit that intervals allow for: none, fleet, or a TOML file
+    #[arg(long, default_value = "none")]
+    spread: String,
+    /// Share of tests whose true pair the intervals hold
+    #[arg(long, default_value_t = crate::calibration::COVERAGE)]
+    coverage: f64,
     /// Append final diagnoses to FILE.jsonl or FILE.parquet
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
@@ -95,6 +101,14 @@ impl LiveArgs {
             sensors,
         };
         Ok((known, models))
+    }
+
+    /// What intervals are to be made for.
+    pub fn choice(&self) -> Result<Choice> {
+        Ok(Choice {
+            spread: datasets::spread(&self.spread)?,
+            coverage: self.coverage,
+        })
     }
 
     /// Runs until Ctrl-C (`stop`) or until enough diagnoses have come; returns the exit code.
@@ -163,7 +177,11 @@ fn run(program: &Program, stop: &Arc<AtomicBool>) -> Result<u8> {
     let library = MapLibrary::open(&program.live.maps)?;
     let (known, _) = program.live.known()?;
     let hint = "make them with `ema maps`, name them with --maps";
-    let source = move |key: &_| library.find(key).ok_or_else(|| no_maps(key, hint));
+    let choice = program.live.choice()?;
+    let source = move |key: &_| match library.diagnoser(key, &choice) {
+        Some(found) => found.map_err(|e| e.to_string()),
+        None => Err(no_maps(key, hint)),
+    };
     program.live.run(known, Box::new(source), stop)
 }
 

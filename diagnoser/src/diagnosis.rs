@@ -1,51 +1,85 @@
-//! From features to fault intervals (paper 5.1): the band around each P* cuts each curve into an
-//! interval of FSJ; intersected over the maps, the cuts of all curves make up the area of
-//! possible faults.
+//! From features to fault intervals: the set of fault pairs that all maps agree on.
+//!
+//! Every map states by how much a feature may differ from it: a standard uncertainty from a budget
+//! ([`crate::failure_map::MapBudget`]), and, where units differ, what all features share of a common
+//! cause ([`crate::uncertainty`]). The misfit of a fault pair is `Q = r^T C^-1 r`, r the measured
+//! features less the maps', C their covariance. The pairs with `Q <= Q_min + reach^2` are enclosed from
+//! within and from without ([`crate::paving`]); the reach is calibrated ([`crate::calibration`]).
+//! All of them lie inside every single map's band of half-width `sqrt(Q_min + reach^2)` standard
+//! uncertainties: these bands are the paper's (5.1).
 
-use crate::failure_map::{BandKnots, FailureMap, FailureMapSet};
-use crate::monotone;
+use crate::calibration::{Calibration, uncalibrated};
+pub use crate::calibration::COVERAGE;
+use crate::curves::Cut;
+use crate::estimate::{Estimate, Estimator};
+use crate::failure_map::{FailureMap, FailureMapSet};
+use crate::paving::{Goal, Paver, Paving};
+use crate::uncertainty::{MOST, Row};
+use schemas::error::{Error, Result};
 use schemas::fault::Interval;
 use schemas::feature::{Feature, Features};
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::spread::Cause;
 
-/// Coverage that the bands are made for: the share of tests whose true pair lies in the hull.
-pub const COVERAGE: f64 = 0.95;
-
-/// Lines of constant zeta on which an area is looked for: first every [`COARSE`]th, then the others
-/// where they may meet one.
-const SEARCH_LINES: usize = 64;
-const COARSE: usize = 4;
-/// Lines on which the area is then measured.
-const AREA_LINES: usize = 100;
-/// Accuracy of the zetas at which an area ends.
-const END_TOLERANCE: f64 = 1e-11;
-/// Accuracy of the zeta at which an area thinner than the spacing of the lines is looked for.
-const SEED_TOLERANCE: f64 = 1e-10;
-
-/// FSJ interval on one curve.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Strip {
-    pub zeta: f64,
-    pub fsj: Interval,
-}
-
-/// The area that all bands have in common.
+/// One connected part of an area.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Area {
-    pub strips: Vec<Strip>,
+pub struct Part {
     /// hull
     pub fsj: Interval,
     pub zeta: Interval,
     /// centroid (FSJ, zeta)
     pub centroid: (f64, f64),
-    /// area in FSJ times zeta
+    /// area in FSJ times zeta, enclosed from within and from without
+    pub inner: f64,
+    pub outer: f64,
+}
+
+/// A box of the paving of an area.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AreaBox {
+    pub fsj: Interval,
+    pub zeta: Interval,
+    /// lies in the area as a whole; else the area's edge may pass through it
+    pub inside: bool,
+}
+
+/// The fault pairs that all maps agree on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Area {
+    /// separated parts, the greatest first
+    pub parts: Vec<Part>,
+    /// boxes that cover the area
+    pub boxes: Vec<AreaBox>,
+    /// hull of all parts, guaranteed to hold the area
+    pub fsj: Interval,
+    pub zeta: Interval,
+    /// centroid (FSJ, zeta)
+    pub centroid: (f64, f64),
+    /// area in FSJ times zeta: the mean of both enclosures
     pub size: f64,
+    /// enclosed from within and from without
+    pub inner: f64,
+    pub outer: f64,
+    /// half-width of the bands in standard uncertainties
+    pub band: f64,
+}
+
+impl Area {
+    /// Share of the area's size that is not decided.
+    pub fn tolerance(&self) -> f64 {
+        if self.outer > 0.0 {
+            (self.outer - self.inner) / self.outer
+        } else {
+            0.0
+        }
+    }
 }
 
 /// Result of a diagnosis. Not being able to locate a fault is a finding, not an error.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     Located(Area),
-    /// The bands have no pair in common; these maps contradict each other.
+    /// No fault pair explains the features; these maps contradict each other.
     Unexplained {
         contradicting: Vec<Feature>,
         reason: String,
@@ -66,6 +100,24 @@ pub enum Outcome {
 pub struct Diagnosis {
     pub outcome: Outcome,
     pub features: Features,
+    /// share of tests whose true pair lies in the intervals, as calibrated or designed
+    pub coverage: f64,
+    pub calibrated: bool,
+    /// misfit of the best fault pair, and from which on a test is unexplained
+    pub misfit: Option<(f64, f64)>,
+}
+
+impl Diagnosis {
+    /// A diagnosis that maps had no part in.
+    pub fn without_maps(outcome: Outcome, features: Features) -> Self {
+        Self {
+            outcome,
+            features,
+            coverage: COVERAGE,
+            calibrated: false,
+            misfit: None,
+        }
+    }
 }
 
 impl Outcome {
@@ -97,368 +149,367 @@ impl Outcome {
     }
 }
 
-/// A map and the value measured for it.
-struct Cut<'a> {
-    map: &'a FailureMap,
-    value: f64,
+/// What is known of the unit and the test: a cause and by how much it deviates from the actuator of the maps
+/// (relative, K or rad).
+pub type Known = Vec<(Cause, f64)>;
+
+/// Known values in words (`supply_voltage_v=47.5`) for one actuator.
+pub fn parse_known(text: &[String], actuator: &ActuatorParameters, rest_angle_rad: f64) -> Result<Known> {
+    let keys = || Cause::ALL.map(Cause::known_key).join(", ");
+    let one = |t: &String| {
+        let bad = |found: &str| Error::bad("command line", "--known", found, format!("KEY=NUMBER, KEY one of {}", keys()));
+        let (key, value) = t.split_once('=').ok_or_else(|| bad(t))?;
+        let cause = Cause::ALL.into_iter().find(|c| c.known_key() == key.trim());
+        let value = value.trim().parse::<f64>().ok().filter(|x| x.is_finite());
+        let (Some(cause), Some(value)) = (cause, value) else { return Err(bad(t)) };
+        Ok((cause, cause.deviation(actuator, rest_angle_rad, value)))
+    };
+    text.iter().map(one).collect()
 }
 
-/// A line of constant zeta and how far the cuts on it are from having a point in common: 0 or less
-/// if they have, infinite if one of them holds no point at all.
-#[derive(Clone, Copy)]
-struct Line {
-    zeta: f64,
-    gap: f64,
+/// One actuator's maps made ready to diagnose: prepared once, then a diagnosis takes microseconds.
+#[derive(Clone, Debug)]
+pub struct Diagnoser {
+    pub maps: FailureMapSet,
+    pub calibration: Option<Calibration>,
+    coverage: f64,
+    estimator: Estimator,
+    /// by quadrant
+    reach: [f64; 4],
+    gate: f64,
 }
 
-impl Line {
-    fn meets(&self) -> bool {
-        self.gap <= 0.0
-    }
-}
-
-/// Line `k` of `0..=n` spread evenly over a range.
-fn spread(range: Interval, k: usize, n: usize) -> f64 {
-    (range.lo + range.width() * k as f64 / n as f64).min(range.hi)
-}
-
-/// Looks for what cuts have in common.
-struct Search<'a> {
-    cuts: &'a [Cut<'a>],
-    /// FSJ grid points at which the last line of each cut met its value: upper and lower limit
-    near: Vec<(usize, usize)>,
-    /// limits of the cut at hand
-    knots: BandKnots,
-}
-
-impl<'a> Search<'a> {
-    fn of(cuts: &'a [Cut<'a>]) -> Self {
-        Self {
-            cuts,
-            near: vec![(0, 0); cuts.len()],
-            knots: BandKnots::default(),
+impl Diagnoser {
+    /// * `coverage` wanted, above 0 and below 1
+    /// * `known` of the unit: refused where the calibration has no response to that cause
+    pub fn new(maps: FailureMapSet, calibration: Option<Calibration>, coverage: f64, known: &Known) -> Result<Self> {
+        if !(coverage > 0.0 && coverage < 1.0) {
+            let allowed = "a share above 0 and below 1, for example 0.95";
+            return Err(Error::bad("command line", "coverage", coverage, allowed));
         }
-    }
-
-    /// Intersection of all cuts at one zeta, possibly less than nothing (`lo` above `hi`); `None`
-    /// if one of them holds no point.
-    fn common(&mut self, zeta: f64) -> Option<Interval> {
-        let (mut lo, mut hi) = (f64::NEG_INFINITY, f64::INFINITY);
-        for (Cut { map, value }, near) in self.cuts.iter().zip(&mut self.near) {
-            let band = map.band_line(zeta, &mut self.knots);
-            let v = map.direction.0 * value;
-            // from where the upper limit reaches the value to where the lower one leaves it
-            lo = monotone::rises_to(&map.fsj, |k| band.high(k), v, lo, &mut near.0)?;
-            hi = monotone::rises_from(&map.fsj, |k| band.low(k), v, hi, &mut near.1)?;
+        let surfaces = calibration.as_ref().and_then(|c| c.surfaces.as_ref());
+        if let Some((cause, _)) = known.iter().find(|(c, _)| !surfaces.is_some_and(|s| s.knows(*c))) {
+            let allowed = format!(
+                "a calibration with a spread that has `{}` (ema calibrate --spread)",
+                cause.key()
+            );
+            return Err(Error::bad("command line", "--known", cause.known_key(), allowed));
         }
-        Some(Interval { lo, hi })
-    }
-
-    /// Intersection of all cuts at one zeta, if they have a point in common.
-    fn strip(&mut self, zeta: f64) -> Option<Strip> {
-        let fsj = self.common(zeta).filter(|i| i.lo <= i.hi)?;
-        Some(Strip { zeta, fsj })
-    }
-
-    fn line(&mut self, zeta: f64) -> Line {
-        let gap = self.common(zeta).map_or(f64::INFINITY, |i| i.lo - i.hi);
-        Line { zeta, gap }
-    }
-
-    /// The zetas over which the area reaches that the cuts have in common, if any.
-    fn extent(&mut self) -> Option<Interval> {
-        let mut range = Interval {
-            lo: f64::NEG_INFINITY,
-            hi: f64::INFINITY,
+        let estimator = Estimator::new(&maps, calibration.as_ref(), known);
+        let (reach, gate) = match &calibration {
+            Some(c) => (std::array::from_fn(|q| c.reach(coverage, q)), c.gate()),
+            None => {
+                let (reach, gate) = uncalibrated(coverage);
+                ([reach; 4], gate)
+            }
         };
-        for c in self.cuts {
-            range = range.meet(c.map.zetas(c.value, &mut self.knots)?)?;
+        Ok(Self {
+            maps,
+            calibration,
+            coverage,
+            estimator,
+            reach,
+            gate,
+        })
+    }
+
+    /// Uncalibrated, for 95 %.
+    pub fn uncalibrated(maps: FailureMapSet) -> Self {
+        Self::new(maps, None, COVERAGE, &Vec::new()).expect("nothing that could be refused")
+    }
+
+    /// Features that are inverted together. P1 is not among them where its parts are: mean speed loss and
+    /// ripple.
+    pub fn joint_features(&self) -> &[Feature] {
+        self.estimator.features()
+    }
+
+    /// Standard uncertainty of a feature at a fault pair, the unit's spread included.
+    pub fn uncertainty(&self, feature: Feature, fsj: f64, zeta: f64) -> Option<f64> {
+        let map = self.maps.map(feature)?;
+        let own = |f: Feature| self.estimator.uncertainty(f, fsj, zeta);
+        Some(match (own(feature), own(Feature::SpeedLoss), own(Feature::Ripple)) {
+            (Some(u), ..) => u,
+            // P1 is the length of (loss, ripple): it changes by no more than they do together
+            (None, Some(loss), Some(ripple)) if feature == Feature::P1 => loss.hypot(ripple),
+            _ => map.uncertainty(fsj, zeta),
+        })
+    }
+
+    /// What the standard uncertainty of a feature is made of at a fault pair: its parts, in words and the
+    /// feature's unit. They add in squares, except that P1's causes add as those of mean speed and ripple.
+    pub fn budget(&self, feature: Feature, fsj: f64, zeta: f64) -> Vec<(String, f64)> {
+        let Some(map) = self.maps.map(feature) else {
+            return Vec::new();
+        };
+        let b = &map.budget;
+        let mut parts: Vec<(String, f64)> = vec![
+            ("sensors".into(), b.noise),
+            ("one sample".into(), b.sample / 3f64.sqrt()),
+            ("interpolation and projection".into(), map.error_at(fsj, zeta)),
+        ];
+        if let Some((c, s)) = self.calibration.as_ref().and_then(|c| Some((c, c.surfaces.as_ref()?))) {
+            for (cause, half) in c.spread().causes() {
+                let at = |f: Feature| half / 3f64.sqrt() * s.slope(&[f], cause, fsj, zeta)[0].abs();
+                let u = match feature {
+                    Feature::P1 => at(Feature::SpeedLoss).hypot(at(Feature::Ripple)),
+                    f => at(f),
+                };
+                parts.push((cause.title().into(), u));
+            }
+            let left = s.remainder.get(feature.name()).copied().unwrap_or(0.0);
+            parts.push(("bend of the response".into(), left));
         }
-        let mut lines = self.search_lines(range);
-        if !lines.iter().any(Line::meets) {
-            let zetas = (0..=SEARCH_LINES).map(|k| spread(range, k, SEARCH_LINES));
-            lines = zetas.map(|zeta| self.line(zeta)).collect();
+        parts.retain(|(_, u)| *u > 0.0);
+        parts
+    }
+
+    pub fn coverage(&self) -> f64 {
+        self.coverage
+    }
+
+    /// How far areas reach, in standard uncertainties, by quadrant of the estimate.
+    pub fn reach(&self, quadrant: usize) -> f64 {
+        self.reach[quadrant]
+    }
+
+    /// The paper's cut of a map: half-widths of `band` standard uncertainties.
+    pub fn cut<'a>(&self, map: &'a FailureMap, value: f64, band: f64) -> Cut<'a> {
+        let points = map.zeta.iter().flat_map(|&z| map.fsj.iter().map(move |&f| (f, z)));
+        let half = |(f, z)| band * self.uncertainty(map.feature, f, z).expect("a map of this set");
+        Cut {
+            map,
+            value,
+            half_width: points.map(half).collect(),
         }
-        let hits = (lines.iter().position(Line::meets), lines.iter().rposition(Line::meets));
-        if let (Some(first), Some(last)) = hits {
-            return Some(Interval {
-                lo: self.end(lines[first], lines[first.saturating_sub(1)]),
-                hi: self.end(lines[last], lines[(last + 1).min(lines.len() - 1)]),
-            });
+    }
+
+    /// Half-width of bands, in standard uncertainties, where nothing was located.
+    pub fn usual_band(&self) -> f64 {
+        self.reach.iter().fold(0.0, |a: f64, &b| a.max(b))
+    }
+
+    /// The fault pairs that the features allow.
+    ///
+    /// * `features` measured, over the maps' nominal run
+    /// * `missing` what the telemetry lacks, in words; empty if nothing
+    pub fn diagnose(&self, features: &Features, missing: &[String]) -> Diagnosis {
+        let mut misfit = None;
+        let outcome = self.outcome(features, missing, &mut misfit);
+        Diagnosis {
+            outcome,
+            features: *features,
+            coverage: self.coverage,
+            calibrated: self.calibration.is_some(),
+            misfit: misfit.map(|q| (q, self.gate)),
         }
-        // an area thinner than the spacing of the lines: look where the gap is smallest
-        let best = lines.iter().min_by(|a, b| a.gap.total_cmp(&b.gap))?;
-        let step = range.width() / SEARCH_LINES as f64;
-        let (below, above) = ((best.zeta - step).max(range.lo), (best.zeta + step).min(range.hi));
-        let seed = self.smallest_gap(below, above);
-        if !seed.meets() {
+    }
+
+    fn outcome(&self, features: &Features, missing: &[String], misfit: &mut Option<f64>) -> Outcome {
+        let joint = self.estimator.features();
+        let mut values: Row = [f64::NAN; MOST];
+        for (v, f) in values.iter_mut().zip(joint) {
+            *v = features.get(*f).unwrap_or(f64::NAN);
+        }
+        let known = values.iter().filter(|v| v.is_finite()).count();
+        let whole = known == joint.len() && missing.is_empty();
+        if !whole || known < 2 {
+            let mut lacking: Vec<String> = missing.to_vec();
+            let maps = self.maps.maps.iter().map(|m| m.feature);
+            let (mut absent, mut odd) = (Vec::new(), Vec::new());
+            for f in maps {
+                match features.get(f) {
+                    None => absent.push(f.name()),
+                    Some(v) if !v.is_finite() => odd.push(format!("{} is {v}", f.name())),
+                    _ => {}
+                }
+            }
+            lacking.extend(odd);
+            if lacking.is_empty() && !absent.is_empty() {
+                lacking.push(format!("no value of {}", absent.join(", ")));
+            }
+            if lacking.is_empty() {
+                lacking.push(format!("{known} map(s); a diagnosis needs at least two"));
+            }
+            let reason = lacking.join("; ");
+            let area = (known >= 2).then(|| self.area(&values, misfit)).flatten();
+            return Outcome::Incomplete { reason, area };
+        }
+        if let Some(area) = self.area(&values, misfit) {
+            return Outcome::Located(area);
+        }
+        self.nowhere(&values, *misfit)
+    }
+
+    /// The area of the pairs that fit, within the maps; `None` if there is none.
+    fn area(&self, values: &Row, misfit: &mut Option<f64>) -> Option<Area> {
+        let best = self.estimator.best(values, self.gate)?;
+        *misfit = Some(best.misfit);
+        if best.misfit > self.gate_of(values) {
             return None;
         }
-        let below = self.line((seed.zeta - step).max(range.lo));
-        let above = self.line((seed.zeta + step).min(range.hi));
-        Some(Interval {
-            lo: self.end(seed, below),
-            hi: self.end(seed, above),
-        })
+        let reach = self.reach[self.estimator.quadrant(best.fsj, best.zeta)];
+        let (joint, limits) = self.estimator.set(values, &best, reach);
+        let any = [(f64::NEG_INFINITY, f64::INFINITY); MOST];
+        let paving = Paver::new().pave(self.estimator.lattice(), &joint, &any, &limits, &Goal::default())?;
+        Some(area(&paving, (best.misfit + reach * reach).sqrt()))
     }
 
-    /// The coarse lines over a range of zeta, and between two of them the others where the gap is so
-    /// small against its changes around that it may vanish in between: an area may have parts.
-    fn search_lines(&mut self, range: Interval) -> Vec<Line> {
-        let zeta = |k: usize| spread(range, k, SEARCH_LINES);
-        let coarse: Vec<Line> = (0..=SEARCH_LINES).step_by(COARSE).map(|k| self.line(zeta(k))).collect();
-        let mut lines = Vec::with_capacity(SEARCH_LINES + 1);
-        for (i, line) in coarse.iter().enumerate() {
-            lines.push(*line);
-            let around = &coarse[i.saturating_sub(1)..(i + 3).min(coarse.len())];
-            let change = around
-                .windows(2)
-                .map(|w| (w[1].gap - w[0].gap).abs())
-                .fold(0.0, f64::max);
-            let Some(next) = coarse.get(i + 1) else { break };
-            let apart = line.gap.min(next.gap);
-            let (both, none) = (line.gap.max(next.gap) <= 0.0, apart > change);
-            if !both && !none {
-                lines.extend((1..COARSE).map(|j| self.line(zeta(COARSE * i + j))));
+    /// The gate for the features that are there: with fewer, less misfit is to be expected.
+    fn gate_of(&self, values: &Row) -> f64 {
+        let all = self.estimator.features().len();
+        let here = values.iter().filter(|v| v.is_finite()).count();
+        // of as many squares as there are features beyond the two faults, at least one
+        self.gate * (here.max(3) - 2) as f64 / (all.max(3) - 2) as f64
+    }
+
+    /// Why there is no area.
+    fn nowhere(&self, values: &Row, misfit: Option<f64>) -> Outcome {
+        let limits = self.estimator.limits();
+        let (f0, f1, z1) = (limits.f.0, limits.f.1, limits.z.1);
+        let best = self.estimator.best(values, self.gate);
+        if let Some(best) = best.filter(|b| b.misfit <= self.gate) {
+            let mut sides = Vec::new();
+            if best.fsj > f1 {
+                sides.push(format!("FSJ above {f1} (about {:.2})", best.fsj));
             }
-        }
-        lines
-    }
-
-    /// The end of an area between a line that meets it and one that need not.
-    fn end(&mut self, within: Line, beyond: Line) -> f64 {
-        if beyond.meets() {
-            return beyond.zeta;
-        }
-        let gap = |zeta: f64| self.line(zeta).gap;
-        monotone::last_within(gap, (within.zeta, within.gap), (beyond.zeta, beyond.gap), END_TOLERANCE)
-    }
-
-    /// A line between two zetas that meets an area, or else the one with the smallest gap (golden section).
-    fn smallest_gap(&mut self, mut a: f64, mut b: f64) -> Line {
-        const GOLDEN: f64 = 0.618_033_988_749_894_9;
-        let inner = |a: f64, b: f64| b - GOLDEN * (b - a);
-        let outer = |a: f64, b: f64| a + GOLDEN * (b - a);
-        let (mut c, mut d) = (self.line(inner(a, b)), self.line(outer(a, b)));
-        while !c.meets() && !d.meets() && b - a > SEED_TOLERANCE {
-            if c.gap < d.gap {
-                b = d.zeta;
-                d = c;
-                c = self.line(inner(a, b));
-            } else {
-                a = c.zeta;
-                c = d;
-                d = self.line(outer(a, b));
+            if best.fsj < f0 {
+                sides.push(format!("FSJ below {f0} (about {:.2})", best.fsj));
             }
+            if best.zeta > z1 {
+                sides.push(format!("zeta above {z1} (about {:.3})", best.zeta));
+            }
+            let reason = sides.join(", ");
+            return Outcome::OutOfRange { reason };
         }
-        if c.gap < d.gap { c } else { d }
+        let beyond: Vec<String> = self.beyond(values);
+        if !beyond.is_empty() {
+            let reason = beyond.join("; ");
+            return Outcome::OutOfRange { reason };
+        }
+        self.contradiction(values, misfit)
     }
 
-    /// The area that the cuts have in common, if any.
-    fn area(&mut self) -> Option<Area> {
-        let zeta = self.extent()?;
-        let strips: Vec<Strip> = (0..=AREA_LINES)
-            .filter_map(|k| self.strip(spread(zeta, k, AREA_LINES)))
-            .collect();
-        let fsj = strips.iter().map(|s| s.fsj).reduce(Interval::join)?;
-        // trapezoidal rule over the lines
-        let dz = zeta.width() / AREA_LINES as f64;
-        let (mut size, mut mf, mut mz) = (0.0, 0.0, 0.0);
-        for (k, s) in strips.iter().enumerate() {
-            let weight = if k == 0 || k + 1 == strips.len() { 0.5 } else { 1.0 };
-            let w = weight * s.fsj.width();
-            size += w * dz;
-            mf += w * 0.5 * (s.fsj.lo + s.fsj.hi);
-            mz += w * s.zeta;
-        }
-        let total: f64 = if dz > 0.0 { size / dz } else { 0.0 };
-        let centroid = if total > 0.0 {
-            (mf / total, mz / total)
-        } else {
-            (0.5 * (fsj.lo + fsj.hi), 0.5 * (zeta.lo + zeta.hi))
-        };
-        Some(Area {
-            strips,
-            fsj,
-            zeta,
-            centroid,
-            size,
-        })
-    }
-}
-
-/// Region of one map alone on `lines` lines of zeta, for drawings.
-pub fn region(map: &FailureMap, value: f64, zetas: impl Iterator<Item = f64>) -> Vec<Strip> {
-    let cut = [Cut { map, value }];
-    let mut search = Search::of(&cut);
-    zetas.filter_map(|zeta| search.strip(zeta)).collect()
-}
-
-/// The paper's algorithm on all maps of a set.
-///
-/// * `features` measured, over the set's nominal run
-/// * `missing` what the telemetry lacks, in words; empty if nothing
-pub fn diagnose(set: &FailureMapSet, features: &Features, missing: &[String]) -> Diagnosis {
-    let measured = |m: &FailureMap| features.get(m.feature).filter(|v| v.is_finite());
-    let cuts: Vec<Cut<'_>> = set
-        .maps
-        .iter()
-        .filter_map(|map| measured(map).map(|value| Cut { map, value }))
-        .collect();
-    let done = |outcome| Diagnosis {
-        outcome,
-        features: *features,
-    };
-    let mut lacking: Vec<String> = missing.to_vec();
-    for m in &set.maps {
-        if let Some(v) = features.get(m.feature).filter(|v| !v.is_finite()) {
-            lacking.push(format!("{} is {v}", m.feature.name()));
-        }
-    }
-    if cuts.len() < set.maps.len() || !lacking.is_empty() {
-        if lacking.is_empty() {
-            let absent = set
-                .maps
-                .iter()
-                .filter(|m| measured(m).is_none())
-                .map(|m| m.feature.name());
-            lacking.push(format!("no value of {}", absent.collect::<Vec<_>>().join(", ")));
-        }
-        let area = if cuts.len() >= 2 {
-            Search::of(&cuts).area()
-        } else {
-            None
-        };
-        return done(Outcome::Incomplete {
-            reason: lacking.join("; "),
-            area,
-        });
-    }
-    if cuts.len() < 2 {
-        let reason = format!("{} map(s); a diagnosis needs at least two", cuts.len());
-        return done(Outcome::Incomplete { reason, area: None });
-    }
-    if let Some(area) = Search::of(&cuts).area() {
-        return done(Outcome::Located(area));
-    }
-    // would the maps meet if they went on?
-    let wide: Vec<FailureMap> = cuts.iter().map(|c| c.map.extended(0.25)).collect();
-    let wide_cuts: Vec<Cut<'_>> = wide
-        .iter()
-        .zip(&cuts)
-        .map(|(map, c)| Cut { map, value: c.value })
-        .collect();
-    if let Some(area) = Search::of(&wide_cuts).area() {
-        let map = cuts[0].map;
-        let mut sides = Vec::new();
-        let (f0, f1) = (map.fsj[0], map.fsj[map.fsj.len() - 1]);
-        let z1 = map.zeta[map.zeta.len() - 1];
-        if area.fsj.lo > f1 || area.centroid.0 > f1 {
-            sides.push(format!("FSJ above {f1} (about {:.2})", area.centroid.0));
-        }
-        if area.fsj.hi < f0 || area.centroid.0 < f0 {
-            sides.push(format!("FSJ below {f0} (about {:.2})", area.centroid.0));
-        }
-        if area.centroid.1 > z1 {
-            sides.push(format!("zeta above {z1} (about {:.3})", area.centroid.1));
-        }
-        if !sides.is_empty() {
-            return done(Outcome::OutOfRange {
-                reason: sides.join(", "),
-            });
-        }
-    }
-    let beyond: Vec<String> = cuts.iter().filter_map(beyond).collect();
-    if !beyond.is_empty() {
-        return done(Outcome::OutOfRange {
-            reason: beyond.join("; "),
-        });
-    }
-    let (contradicting, reason) = contradiction(cuts);
-    done(Outcome::Unexplained { contradicting, reason })
-}
-
-/// On which side a value lies beyond every curve of its map, if it does.
-fn beyond(cut: &Cut<'_>) -> Option<String> {
-    let m = cut.map;
-    let (lo, hi) = m.range();
-    let (f, z) = (
-        [m.fsj[0], m.fsj[m.fsj.len() - 1]],
-        [m.zeta[0], m.zeta[m.zeta.len() - 1]],
-    );
-    let h = f
-        .iter()
-        .flat_map(|f| z.iter().map(|z| m.half_width(*f, *z)))
-        .fold(0.0_f64, f64::max);
-    let text = |side: &str, end: f64| {
-        format!(
-            "{} = {:.5e} {} is {side} the map's end {end:.5e}",
-            m.feature.name(),
-            cut.value,
-            m.feature.unit()
-        )
-    };
-    if cut.value - h > hi {
-        Some(text("above", hi))
-    } else if cut.value + h < lo {
-        Some(text("below", lo))
-    } else {
-        None
-    }
-}
-
-/// Which maps contradict each other: the one without which the rest agree, or the pairs that have
-/// nothing in common.
-fn contradiction(cuts: Vec<Cut<'_>>) -> (Vec<Feature>, String) {
-    let name = |f: Feature| f.name();
-    let without = |skip: usize| -> Vec<Cut<'_>> {
-        let rest = cuts.iter().enumerate().filter(|&(i, _)| i != skip);
-        rest.map(|(_, c)| Cut {
-            map: c.map,
-            value: c.value,
-        })
-        .collect()
-    };
-    if cuts.len() > 2 {
-        let odd: Vec<Feature> = (0..cuts.len())
-            .filter(|&i| Search::of(&without(i)).extent().is_some())
-            .map(|i| cuts[i].map.feature)
-            .collect();
-        if !odd.is_empty() {
-            let names: Vec<&str> = odd.iter().map(|&f| name(f)).collect();
-            let reason = format!(
-                "no fault pair fits all maps; without {} the others agree",
-                names.join(" or without ")
+    /// Values that lie beyond every curve of their maps, in words.
+    fn beyond(&self, values: &Row) -> Vec<String> {
+        let features = self.estimator.features();
+        let text = |(&f, &value): (&Feature, &f64)| {
+            let m = self.maps.map(f)?;
+            let (lo, hi) = m.range();
+            let corner = |f, z| self.uncertainty(m.feature, f, z).unwrap_or(0.0);
+            let (fs, zs) = (
+                [m.fsj[0], m.fsj[m.fsj.len() - 1]],
+                [m.zeta[0], m.zeta[m.zeta.len() - 1]],
             );
-            return (odd, reason);
-        }
+            let widest = fs.iter().flat_map(|&f| zs.iter().map(move |&z| corner(f, z)));
+            let half = self.gate.sqrt() * widest.fold(0.0_f64, f64::max);
+            let (side, end) = if value - half > hi {
+                ("above", hi)
+            } else if value + half < lo {
+                ("below", lo)
+            } else {
+                return None;
+            };
+            let (name, unit) = (f.name(), f.unit());
+            Some(format!("{name} = {value:.5e} {unit} is {side} the map's end {end:.5e}"))
+        };
+        features.iter().zip(values).filter_map(text).collect()
     }
-    let mut involved = Vec::new();
-    let mut pairs = Vec::new();
-    for i in 0..cuts.len() {
-        for j in i + 1..cuts.len() {
-            let pair = [i, j].map(|k| Cut {
-                map: cuts[k].map,
-                value: cuts[k].value,
-            });
-            if Search::of(&pair).extent().is_none() {
-                let (a, b) = (cuts[i].map.feature, cuts[j].map.feature);
-                pairs.push(format!("{} and {}", name(a), name(b)));
-                involved.extend([a, b]);
+
+    /// Which maps contradict each other: those without which, one or two at a time, the rest agree.
+    fn contradiction(&self, values: &Row, misfit: Option<f64>) -> Outcome {
+        let features = self.estimator.features();
+        let agree = |skipped: &[usize]| {
+            let mut rest = *values;
+            skipped.iter().for_each(|&k| rest[k] = f64::NAN);
+            let gate = self.gate_of(&rest);
+            self.estimator.best(&rest, gate).is_some_and(|b| b.misfit <= gate)
+        };
+        let names = |list: &[usize]| list.iter().map(|&k| features[k].name()).collect::<Vec<_>>();
+        let n = features.len();
+        let by = misfit.map_or(String::new(), |q| {
+            format!(" (misfit {:.1}, at most {:.1})", q.sqrt(), self.gate.sqrt())
+        });
+        let found = |contradicting: Vec<usize>, reason: String| Outcome::Unexplained {
+            contradicting: contradicting.into_iter().map(|k| features[k]).collect(),
+            reason: format!("no fault pair fits all maps{by}; {reason}"),
+        };
+        if n > 2 {
+            let odd: Vec<usize> = (0..n).filter(|&k| agree(&[k])).collect();
+            if !odd.is_empty() {
+                let reason = format!("without {} the others agree", names(&odd).join(" or without "));
+                return found(odd, reason);
             }
         }
+        if n > 3 {
+            let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| [i, j]));
+            let odd: Vec<[usize; 2]> = pairs.filter(|p| agree(p)).collect();
+            if !odd.is_empty() {
+                let list: Vec<String> = odd.iter().map(|p| names(p).join(" and ")).collect();
+                let mut involved = odd.concat();
+                involved.sort_unstable();
+                involved.dedup();
+                let reason = format!("without {} the others agree", list.join(", or without "));
+                return found(involved, reason);
+            }
+        }
+        found((0..n).collect(), "nor do most of them fit".into())
     }
-    involved.sort();
-    involved.dedup();
-    if involved.is_empty() {
-        involved = cuts.iter().map(|c| c.map.feature).collect();
-        pairs.push("any three of them".into());
+
+    /// How far the area of a test would have to reach so that its intervals hold the true pair, and the
+    /// misfit of the best pair: what calibration needs. `None` where a feature is missing.
+    pub fn score(&self, features: &Features, fsj: f64, zeta: f64) -> Option<(Estimate, f64)> {
+        let mut values: Row = [f64::NAN; MOST];
+        for (v, f) in values.iter_mut().zip(self.estimator.features()) {
+            *v = features.get(*f).filter(|v| v.is_finite())?;
+        }
+        let best = self.estimator.best(&values, self.gate)?;
+        let profile = self.estimator.profile(&values, &best, fsj, zeta);
+        let score = (profile - best.misfit).max(0.0).sqrt();
+        Some((best, score))
     }
-    (
-        involved,
-        format!(
-            "no fault pair fits all maps; nothing in common have {}",
-            pairs.join("; ")
-        ),
-    )
+
+    /// Quadrant of the fault range.
+    pub fn quadrant(&self, fsj: f64, zeta: f64) -> usize {
+        self.estimator.quadrant(fsj, zeta)
+    }
+
+    /// Response surfaces and misfits of samples need what the maps say at a pair: feature, map, stated
+    /// uncertainty.
+    pub fn expected(&self, fsj: f64, zeta: f64) -> Vec<(Feature, f64, f64)> {
+        let at = self.estimator.lattice().at(fsj, zeta);
+        let own = |f: &Feature| self.maps.map(*f).expect("of this set").uncertainty(fsj, zeta);
+        let features = self.estimator.features().iter();
+        features.zip(at).map(|(f, m)| (*f, m, own(f))).collect()
+    }
+}
+
+fn area(p: &Paving, band: f64) -> Area {
+    let interval = |(lo, hi): (f64, f64)| Interval { lo, hi };
+    let part = |a: &crate::paving::Part| Part {
+        fsj: interval(a.hull.f),
+        zeta: interval(a.hull.z),
+        centroid: a.centroid,
+        inner: a.inner_area,
+        outer: a.outer_area,
+    };
+    Area {
+        parts: p.parts.iter().map(part).collect(),
+        boxes: p
+            .boxes
+            .iter()
+            .map(|b| AreaBox {
+                fsj: interval(b.f),
+                zeta: interval(b.z),
+                inside: b.inside,
+            })
+            .collect(),
+        fsj: interval(p.whole.hull.f),
+        zeta: interval(p.whole.hull.z),
+        centroid: p.whole.centroid,
+        size: 0.5 * (p.whole.inner_area + p.whole.outer_area),
+        inner: p.whole.inner_area,
+        outer: p.whole.outer_area,
+        band,
+    }
 }

@@ -14,6 +14,10 @@ use std::sync::Arc;
 /// of the reference actuator's specification).
 const REGIME_S: (f64, f64) = (0.20, 0.65);
 
+/// Share of the no-load speed Vs/(2 ke) that ends the rise time: half of it is reached far from where
+/// the controller takes the speed back, and where the current is still high (assumed).
+const RISE_SHARE: f64 = 0.5;
+
 /// Resolver counts that a motor position must leave rest by to count as moving.
 const BREAKAWAY_COUNTS: f64 = 1.5;
 
@@ -66,6 +70,10 @@ pub struct FeaturePlan {
     pub regime: Option<Window>,
     pub sine: Option<Window>,
     pub ramp: Option<Window>,
+    /// from the step to the end of the regime window
+    pub step: Option<Window>,
+    /// motor speed that ends the rise time [rad/s]
+    rise_rad_per_s: f64,
     /// height of the step: its sign is the direction of motion [rad]
     pub step_rad: f64,
     /// |Im| of the simplified model over `sine` [A]
@@ -85,6 +93,8 @@ impl FeaturePlan {
         let regime = window(|c| matches!(c, Command::Step { .. }), REGIME_S.0, REGIME_S.1);
         let sine = window(|c| matches!(c, Command::Sine { .. }), 0.0, f64::INFINITY);
         let ramp = window(|c| matches!(c, Command::Ramp { .. }), 0.0, f64::INFINITY);
+        let step = window(|c| matches!(c, Command::Step { .. }), 0.0, REGIME_S.1);
+        let no_load_rad_per_s = actuator.supply_voltage_v / (2.0 * actuator.back_emf_v_s_per_rad);
         let step_rad = sequence.segments.iter().find_map(|s| {
             if let Command::Step { height_rad } = s.command {
                 Some(height_rad)
@@ -104,6 +114,8 @@ impl FeaturePlan {
             regime,
             sine,
             ramp,
+            step,
+            rise_rad_per_s: RISE_SHARE * no_load_rad_per_s,
             step_rad: step_rad.unwrap_or(0.0),
             monitor_a,
             equivalent_current,
@@ -130,7 +142,7 @@ impl FeaturePlan {
     pub fn needs(&self, first: u64, rows: usize) -> bool {
         let last = first + rows as u64 - 1;
         first == 1
-            || [self.regime, self.sine, self.ramp]
+            || [self.regime, self.sine, self.ramp, self.step]
                 .iter()
                 .flatten()
                 .any(|w| w.from <= last && first <= w.to)
@@ -154,6 +166,12 @@ pub struct FeatureExtractor {
     shift: f64,
     sum: f64,
     sum2: f64,
+    current_seen: u64,
+    current_sum2: f64,
+    // step: samples seen without a gap, speed of the last of them
+    step_seen: u64,
+    step_speed: f64,
+    rise_s: Option<f64>,
     // sine
     sine_seen: u64,
     sine_sum2: f64,
@@ -171,6 +189,11 @@ impl FeatureExtractor {
             shift: 0.0,
             sum: 0.0,
             sum2: 0.0,
+            current_seen: 0,
+            current_sum2: 0.0,
+            step_seen: 0,
+            step_speed: 0.0,
+            rise_s: None,
             sine_seen: 0,
             sine_sum2: 0.0,
             ramp_seen: 0,
@@ -204,11 +227,21 @@ impl FeatureExtractor {
                 self.regime_seen += 1;
             }
         }
+        let phases = [Channel::IA, Channel::IB, Channel::IC].map(|c| view.column(c));
+        if let (Some(w), [Some(a), Some(b), Some(c)]) = (self.plan.regime, phases) {
+            let rows = w.rows(view);
+            for i in rows.clone() {
+                self.current_sum2 += a[i] * a[i] + b[i] * b[i] + c[i] * c[i];
+            }
+            self.current_seen += rows.len() as u64;
+        }
+        if let (Some(w), Some(omega), None) = (self.plan.step, view.column(Channel::OmegaM), self.rise_s) {
+            self.rise(w, view.first, &omega[w.rows(view)]);
+        }
         if let Some(w) = self.plan.sine {
             let rows = w.rows(view);
             let from = (view.first + rows.start as u64 - w.from.min(view.first + rows.start as u64)) as usize;
             let monitor = &self.plan.monitor_a[from.min(self.plan.monitor_a.len())..];
-            let phases = [Channel::IA, Channel::IB, Channel::IC].map(|c| view.column(c));
             if let ([Some(a), Some(b), Some(c)], false) = (phases, self.plan.equivalent_current) {
                 for ((a, b), (c, m)) in a[rows.clone()]
                     .iter()
@@ -236,6 +269,27 @@ impl FeatureExtractor {
                 let limit = BREAKAWAY_COUNTS * std::f64::consts::TAU / (1u64 << RESOLVER_BITS) as f64;
                 self.breakaway_rad = rows.clone().find(|&i| (theta[i] - rest).abs() > limit).map(|i| com[i]);
             }
+        }
+    }
+
+    /// Looks for the first sample of the step's window `w` whose speed has reached the end of the rise,
+    /// straight between it and the sample before. After a gap the first is not the one that comes first.
+    fn rise(&mut self, w: Window, first: u64, omega: &[f64]) {
+        let begin = first.max(w.from);
+        if omega.is_empty() || begin != w.from + self.step_seen {
+            return;
+        }
+        let (limit, sign) = (self.plan.rise_rad_per_s, 1f64.copysign(self.plan.step_rad));
+        for &omega in omega {
+            let (before, now) = (self.step_speed, sign * omega);
+            // sample n of the window is the value at its end, n intervals after the step
+            if now >= limit {
+                let share = (limit - before) / (now - before);
+                self.rise_s = Some((self.step_seen as f64 + share) / self.plan.rate_hz);
+                return;
+            }
+            self.step_speed = now;
+            self.step_seen += 1;
         }
     }
 
@@ -277,6 +331,9 @@ impl FeatureExtractor {
             ripple_rad_per_s: regime.then(|| (self.sum2 / n - mean * mean).max(0.0).sqrt()),
             p2_a: whole(self.plan.sine, self.sine_seen).then(|| (self.sine_sum2 / self.sine_seen as f64).sqrt()),
             p3_rad: self.breakaway_rad,
+            rise_s: self.rise_s,
+            current_rms_a: (whole(self.plan.regime, self.current_seen) && !self.plan.equivalent_current)
+                .then(|| (self.current_sum2 / (3.0 * self.current_seen as f64)).sqrt()),
             rest_angle_rad: self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU)),
         }
     }

@@ -1,11 +1,9 @@
 //! Failure maps (paper 4.1, 4.2): a feature over the fault grid as monotone curves.
 
-mod band_ends;
 mod set;
 
 use crate::isotonic::monotone_surface;
 use crate::monotone;
-use band_ends::BandEnds;
 use schemas::error::{Error, Result};
 use schemas::feature::Feature;
 use serde::{Deserialize, Serialize};
@@ -15,35 +13,27 @@ pub use set::{FailureMapSet, MapSetHeader};
 /// comes in whole samples; its limit is one sample if that is more.
 const BREAK_LIMIT: f64 = 0.03;
 
-/// Sensor noise enters the half-width with this many standard deviations: a band then misses with
-/// 0.27 %, and four independent ones hold together in 98.9 %.
-const SIGMAS: f64 = 3.0;
-
 /// Leave-one-out doubles the spacing. What is left of its error at the grid's own spacing is
 /// judged by doubling once more: the error of a smooth feature falls to a quarter (second order)
 /// or less, that of a feature in steps not at all. No more than a quarter is believed.
 const SMOOTH_SHARE: f64 = 0.25;
 
-/// A leave-one-out error this many times the 95 % quantile is no interpolation error but a step
-/// of the feature; twice the error then goes into the band around that grid point.
-const STEP_RATIO: f64 = 3.0;
-
-/// What the bands of a map are made of, each part of the half-width in the feature's unit.
+/// What a map is uncertain by, whatever the unit: standard uncertainties in the feature's unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BandBudget {
-    /// standard deviation of the feature from sensor noise and offsets
+pub struct MapBudget {
+    /// of the feature, from sensor noise, offsets and resolution
     pub noise: f64,
-    /// typical interpolation error between grid points, from leave-one-out
+    /// of the map between its grid points, from leave-one-out: root mean square over the grid
     pub interpolation: f64,
-    /// one sample of the command, where the feature is a command at a sample
+    /// of the projection onto the monotone surface: root mean square over the grid
+    pub projection: f64,
+    /// one sample of the command, where the feature is a command at a sample: the whole step, not yet
+    /// divided by sqrt(3)
     pub sample: f64,
 }
 
-/// Quantile of the leave-one-out errors that goes into the band everywhere.
-const USUAL: f64 = 0.8;
-
-/// Grid points around a leave-one-out error, each way, that it is believed for: a single small one
-/// may be small by chance.
+/// Grid points around a leave-one-out error, each way, over which it is averaged: a single one may be
+/// small by chance.
 const NEIGHBOURS: usize = 2;
 
 /// One feature over the fault grid.
@@ -58,18 +48,13 @@ pub struct FailureMap {
     pub raw: Vec<f64>,
     /// the nearest monotone surface
     pub value: Vec<f64>,
-    pub budget: BandBudget,
+    pub budget: MapBudget,
     /// |raw - value| at each grid point
     pub residual: Vec<f64>,
-    /// what is added to the band at each grid point: the residual, interpolation errors beyond the
-    /// typical one, and steps between grid points
-    margin: Vec<f64>,
+    /// standard uncertainty of the map at each grid point: interpolation around it and projection
+    pub error: Vec<f64>,
     /// slopes of `value` across zeta
     slope: Vec<f64>,
-    /// whether the limits of the bands need no mending, between each two rows
-    plain: Vec<bool>,
-    /// ends of the band on the grid's lines and between them
-    ends: Vec<BandEnds>,
 }
 
 /// A curve of a map at one zeta, made to rise along FSJ (multiplied by the map's direction).
@@ -85,68 +70,6 @@ pub struct Curve {
 pub struct BandCurve {
     pub low: Curve,
     pub high: Curve,
-}
-
-/// The limits of a band at the FSJ grid points of one line of constant zeta, rising. Kept to be
-/// filled again: a diagnosis takes hundreds of lines.
-#[derive(Clone, Debug, Default)]
-pub struct BandKnots {
-    pub low: Vec<f64>,
-    pub high: Vec<f64>,
-}
-
-/// The band on one line of constant zeta, its limits at the FSJ grid points worked out only where
-/// they are asked for: inverting a map takes a few points of each of hundreds of lines.
-pub struct BandLine<'a> {
-    map: &'a FailureMap,
-    place: Place,
-    /// weights of the values of both rows and of their slopes in the curve
-    weights: [f64; 4],
-    /// half-width that holds everywhere
-    base: f64,
-    /// the limits where they need mending, and then all are known
-    mended: Option<&'a BandKnots>,
-}
-
-impl BandLine<'_> {
-    /// Lower limit at FSJ grid point `k`.
-    #[inline]
-    pub fn low(&self, k: usize) -> f64 {
-        match self.mended {
-            Some(knots) => knots.low[k],
-            None => self.curve(k) - self.half_width(k),
-        }
-    }
-
-    /// Upper limit at FSJ grid point `k`.
-    #[inline]
-    pub fn high(&self, k: usize) -> f64 {
-        match self.mended {
-            Some(knots) => knots.high[k],
-            None => self.curve(k) + self.half_width(k),
-        }
-    }
-
-    #[inline]
-    fn curve(&self, k: usize) -> f64 {
-        let [wa, wb, da, db] = self.weights;
-        let ((v0, v1), (d0, d1)) = (self.rows(&self.map.value, k), self.rows(&self.map.slope, k));
-        wa * v0 + wb * v1 + da * d0 + db * d1
-    }
-
-    #[inline]
-    fn half_width(&self, k: usize) -> f64 {
-        let s = self.place.share;
-        let (below, above) = self.rows(&self.map.margin, k);
-        self.base + ((1.0 - s) * below + s * above)
-    }
-
-    /// What a table holds at a FSJ grid point in the rows around the line.
-    fn rows(&self, table: &[f64], k: usize) -> (f64, f64) {
-        let n = self.map.fsj.len();
-        let i = self.place.row * n + k;
-        (table[i], table[i + n])
-    }
 }
 
 /// A zeta between two grid rows.
@@ -228,60 +151,55 @@ impl FailureMap {
             zeta: zeta.into(),
             raw,
             value,
-            budget: BandBudget {
+            budget: MapBudget {
                 noise,
                 interpolation: 0.0,
+                projection: root_mean_square(residual.iter().copied()),
                 sample,
             },
-            margin: residual.clone(),
+            error: Vec::new(),
             residual,
             slope: Vec::new(),
-            plain: Vec::new(),
-            ends: Vec::new(),
         };
         map.slope = map.slopes_across();
-        let left_out = map.leave_one_out(1);
+        let interpolation = map.interpolation_error();
+        map.budget.interpolation = root_mean_square(interpolation.iter().copied());
+        let both = interpolation.iter().zip(&map.residual).map(|(a, b)| a.hypot(*b));
+        map.error = both.collect();
+        Ok(map)
+    }
+
+    /// Standard uncertainty of the interpolation at each grid point: leave-one-out errors of the points
+    /// around it, brought to the grid's own spacing.
+    fn interpolation_error(&self) -> Vec<f64> {
+        let (rows, columns) = (self.zeta.len(), self.fsj.len());
+        let (fine, coarse) = (self.leave_one_out(1), self.leave_one_out(2));
         let quantile = |v: &[f64], q: f64| {
             let mut v: Vec<f64> = v.iter().copied().filter(|e| *e > 0.0).collect();
             v.sort_by(f64::total_cmp);
-            if v.is_empty() {
-                0.0
-            } else {
-                v[((v.len() - 1) as f64 * q).round() as usize]
-            }
+            v.get((v.len().saturating_sub(1) as f64 * q).round() as usize)
+                .copied()
+                .unwrap_or(0.0)
         };
-        let coarse = map.leave_one_out(2);
         // the greatest errors may be curvature, which falls with the spacing, and the usual ones
         // scatter of the switching, which does not: the worse of both is believed
         let ratio = |q: f64| {
-            let (fine, coarse) = (quantile(&left_out, q), quantile(&coarse, q));
+            let (fine, coarse) = (quantile(&fine, q), quantile(&coarse, q));
             if coarse > 0.0 {
                 (fine / coarse).clamp(SMOOTH_SHARE, 1.0)
             } else {
                 1.0
             }
         };
-        let typical = quantile(&left_out, 0.95);
         let share = ratio(0.95).max(ratio(0.5));
-        map.budget.interpolation = share * quantile(&left_out, USUAL);
-        // where the error is greater than that, the rest goes into the band of the grid points around
-        let rows = map.zeta.len();
-        let mut local = vec![0.0_f64; left_out.len()];
-        for (i, &e) in left_out.iter().enumerate() {
+        let fine = &fine;
+        let around = |k: usize, n: usize| k.saturating_sub(NEIGHBOURS)..=(k + NEIGHBOURS).min(n - 1);
+        let at = |i: usize| {
             let (r, c) = (i / columns, i % columns);
-            let step = e > STEP_RATIO * typical && e > sample;
-            let (error, reach) = if step { (2.0 * e, 1) } else { (share * e, NEIGHBOURS) };
-            for r in r.saturating_sub(reach)..=(r + reach).min(rows - 1) {
-                for c in c.saturating_sub(reach)..=(c + reach).min(columns - 1) {
-                    let m = &mut local[r * columns + c];
-                    *m = m.max(error - map.budget.interpolation);
-                }
-            }
-        }
-        map.margin = map.residual.iter().zip(&local).map(|(a, b)| a + b).collect();
-        map.plain = map.plain_rows();
-        map.ends = map.ends_of_lines();
-        Ok(map)
+            let near = around(r, rows).flat_map(|r| around(c, columns).map(move |c| fine[r * columns + c]));
+            share * root_mean_square(near.filter(|e| *e > 0.0))
+        };
+        (0..fine.len()).map(at).collect()
     }
 
     /// PCHIP slopes across zeta for each FSJ column.
@@ -383,94 +301,68 @@ impl FailureMap {
         Curve { y, d }
     }
 
+    /// The feature on one of its curves.
+    pub fn on_curve(&self, curve: &Curve, fsj: f64) -> f64 {
+        self.direction.0 * monotone::at(&self.fsj, &curve.y, &curve.d, fsj)
+    }
+
     /// The feature at a fault pair, clamped to the map.
     pub fn at(&self, fsj: f64, zeta: f64) -> f64 {
-        let c = self.curve(zeta);
-        self.direction.0 * monotone::at(&self.fsj, &c.y, &c.d, fsj)
+        self.on_curve(&self.curve(zeta), fsj)
     }
 
-    /// Half-width of the band that holds everywhere, in the feature's unit.
-    fn base(&self) -> f64 {
+    /// Standard uncertainty of the feature against the map at a grid point, the unit's own spread left
+    /// out: sensors, one sample, interpolation, projection.
+    pub fn node_uncertainty(&self, node: usize) -> f64 {
+        self.with_noise(self.error[node])
+    }
+
+    /// The same at a fault pair, bilinear between the grid points.
+    pub fn uncertainty(&self, fsj: f64, zeta: f64) -> f64 {
+        self.with_noise(self.table_at(&self.error, fsj, zeta))
+    }
+
+    /// Standard uncertainty of the map alone at a fault pair: interpolation and projection.
+    pub fn error_at(&self, fsj: f64, zeta: f64) -> f64 {
+        self.table_at(&self.error, fsj, zeta)
+    }
+
+    fn with_noise(&self, error: f64) -> f64 {
         let b = &self.budget;
-        SIGMAS * b.noise + b.interpolation + b.sample
+        (error * error + b.noise * b.noise + b.sample * b.sample / 3.0).sqrt()
     }
 
-    /// Margins at the FSJ grid points: straight between the rows, whose margins already reach over
-    /// their neighbours.
-    fn margins(&self, place: &Place) -> impl Iterator<Item = f64> {
-        let s = place.share;
-        let (below, above) = self.rows(&self.margin, place);
-        below.iter().zip(above).map(move |(a, b)| (1.0 - s) * a + s * b)
-    }
-
-    /// Half-width of the band at a fault pair, in the feature's unit.
-    pub fn half_width(&self, fsj: f64, zeta: f64) -> f64 {
+    /// What a table over the grid holds at a fault pair, bilinear.
+    fn table_at(&self, table: &[f64], fsj: f64, zeta: f64) -> f64 {
+        let place = self.place(zeta);
         let c = monotone::piece(&self.fsj, fsj);
-        let place = self.place(zeta);
-        self.base() + self.margins(&place).skip(c).take(2).fold(0.0, f64::max)
-    }
-
-    /// The band on the line at `zeta`; `knots` are filled if its limits need mending.
-    pub fn band_line<'a>(&'a self, zeta: f64, knots: &'a mut BandKnots) -> BandLine<'a> {
-        let place = self.place(zeta);
-        let plain = self.plain[place.row];
-        if !plain {
-            self.band_knots(zeta, knots);
-        }
-        BandLine {
-            map: self,
-            weights: self.weights(&place),
-            place,
-            base: self.base(),
-            mended: (!plain).then_some(knots),
-        }
-    }
-
-    /// Whether between each two rows the curves and both limits rise along FSJ by themselves: all
-    /// their Bezier ordinates across zeta do.
-    fn plain_rows(&self) -> Vec<bool> {
-        let (n, rise) = (self.fsj.len(), self.direction.0);
-        let ordinates = |r: usize, c: usize| {
-            let (a, b) = (r * n + c, (r + 1) * n + c);
-            let third = (self.zeta[r + 1] - self.zeta[r]) / 3.0;
-            let (v0, v1) = (self.value[a], self.value[b]);
-            let curve = [v0, v0 + third * self.slope[a], v1 - third * self.slope[b], v1];
-            let (m0, m1) = (self.margin[a], self.margin[b]);
-            let margin = [m0, (2.0 * m0 + m1) / 3.0, (m0 + 2.0 * m1) / 3.0, m1];
-            [0, 1, 2, 3].map(|q| (rise * curve[q], margin[q]))
-        };
-        let rises = |((v0, m0), (v1, m1)): ((f64, f64), (f64, f64))| v1 - v0 >= (m1 - m0).abs();
-        let plain = |r: usize| {
-            (1..n).all(|c| {
-                let pairs = ordinates(r, c - 1).into_iter().zip(ordinates(r, c));
-                pairs.into_iter().all(rises)
-            })
-        };
-        (0..self.zeta.len() - 1).map(plain).collect()
-    }
-
-    /// The limits of the band at `zeta` at the FSJ grid points, without slopes.
-    pub fn band_knots(&self, zeta: f64, knots: &mut BandKnots) {
-        let (place, base) = (self.place(zeta), self.base());
-        let BandKnots { low, high } = knots;
-        self.curve_knots(&place, low);
-        high.clear();
-        high.extend(low.iter().zip(self.margins(&place)).map(|(y, m)| y + (base + m)));
-        low.iter_mut()
-            .zip(self.margins(&place))
-            .for_each(|(y, m)| *y -= base + m);
-        // made monotone by giving way outwards
-        make_rising_from_end(low);
-        make_rising(high);
+        let t = ((fsj - self.fsj[c]) / (self.fsj[c + 1] - self.fsj[c])).clamp(0.0, 1.0);
+        let (below, above) = self.rows(table, &place);
+        let along = |row: &[f64]| (1.0 - t) * row[c] + t * row[c + 1];
+        (1.0 - place.share) * along(below) + place.share * along(above)
     }
 
     /// The curve at `zeta` with its band.
-    pub fn band(&self, zeta: f64) -> BandCurve {
-        let mut knots = BandKnots::default();
-        self.band_knots(zeta, &mut knots);
+    ///
+    /// * `half_width` of the band at each grid point, in the feature's unit
+    pub fn band(&self, zeta: f64, half_width: &[f64]) -> BandCurve {
+        let place = self.place(zeta);
+        let mut low = Vec::new();
+        self.curve_knots(&place, &mut low);
+        let (below, above) = self.rows(half_width, &place);
+        let half: Vec<f64> = below
+            .iter()
+            .zip(above)
+            .map(|(a, b)| (1.0 - place.share) * a + place.share * b)
+            .collect();
+        let mut high: Vec<f64> = low.iter().zip(&half).map(|(y, h)| y + h).collect();
+        low.iter_mut().zip(&half).for_each(|(y, h)| *y -= h);
+        // made monotone by giving way outwards
+        make_rising_from_end(&mut low);
+        make_rising(&mut high);
         BandCurve {
-            low: self.through(knots.low),
-            high: self.through(knots.high),
+            low: self.through(low),
+            high: self.through(high),
         }
     }
 
@@ -528,18 +420,20 @@ impl FailureMap {
             raw: value.clone(),
             value,
             residual: wider(&self.residual),
-            margin: wider(&self.margin),
+            error: wider(&self.error),
             slope: Vec::new(),
-            plain: Vec::new(),
-            ends: Vec::new(),
             budget: self.budget.clone(),
             ..*self
         };
         map.slope = map.slopes_across();
-        map.plain = map.plain_rows();
-        map.ends = map.ends_of_lines();
         map
     }
+}
+
+/// 0 of nothing.
+fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, n) = values.fold((0.0, 0), |(s, n), x| (s + x * x, n + 1));
+    if n == 0 { 0.0 } else { (sum / f64::from(n)).sqrt() }
 }
 
 /// Whether a sequence nowhere falls. Most do not, and seeing that is quicker than mending.
@@ -569,64 +463,5 @@ fn make_rising_from_end(y: &mut [f64]) {
     for v in y.iter_mut().rev() {
         least = if *v < least { *v } else { least };
         *v = least;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const FSJ: [f64; 7] = [1.0, 1.5, 2.0, 2.5, 3.5, 4.0, 5.0];
-    const ZETA: [f64; 5] = [0.0, 0.1, 0.2, 0.35, 0.5];
-
-    fn map(feature: Feature, value: impl Fn(f64, f64) -> f64) -> FailureMap {
-        let (along, across) = feature.direction();
-        let raw = ZETA.iter().flat_map(|&z| FSJ.map(|f| value(along * f, across * z)));
-        FailureMap::build("test", feature, &FSJ, &ZETA, raw.collect(), 0.01, 0.25).unwrap()
-    }
-
-    /// Maps that need no mending, and maps in steps and with plateaus, whose margins stand out.
-    fn maps() -> [FailureMap; 4] {
-        let smooth = |f: f64, z: f64| f + z;
-        let stepped = |f: f64, z: f64| (f + 6.0 * z * z.abs()).floor() + 0.05 * z;
-        let (p1, ripple) = (Feature::P1, Feature::Ripple);
-        [
-            map(p1, smooth),
-            map(ripple, smooth),
-            map(p1, stepped),
-            map(ripple, stepped),
-        ]
-    }
-
-    #[test]
-    fn prop_band_line_has_the_limits_of_the_band() {
-        let maps = maps();
-        let plain = maps.each_ref().map(|m| m.plain.iter().all(|p| *p));
-        assert_eq!(plain, [true, true, false, false]);
-        for map in maps {
-            let mut knots = BandKnots::default();
-            for zeta in (0..=200).map(|k| k as f64 * 2.5e-3) {
-                let (line, band) = (map.band_line(zeta, &mut knots), map.band(zeta));
-                for k in 0..FSJ.len() {
-                    assert!((line.low(k) - band.low.y[k]).abs() < 1e-12, "{zeta} {k}");
-                    assert!((line.high(k) - band.high.y[k]).abs() < 1e-12, "{zeta} {k}");
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn prop_zetas_are_those_whose_band_holds_the_value() {
-        for map in maps() {
-            let (lo, hi) = map.range();
-            for value in (0..=60).map(|k| lo - 0.503 + (hi - lo + 1.0) * k as f64 / 60.0) {
-                let zetas = map.zetas(value, &mut BandKnots::default());
-                for zeta in (0..=200).map(|k| k as f64 * 2.5e-3) {
-                    let (band, v) = (map.band(zeta), map.direction.0 * value);
-                    let holds = band.low.y[0] <= v && v <= band.high.y[FSJ.len() - 1];
-                    assert_eq!(zetas.is_some_and(|r| r.contains(zeta)), holds, "{value} {zeta}");
-                }
-            }
-        }
     }
 }

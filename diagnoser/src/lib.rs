@@ -1,7 +1,10 @@
 //! What flies: features from telemetry, failure maps, and their inversion to fault intervals, live
 //! or of a recording.
+pub mod calibration;
 pub mod cli;
+pub mod curves;
 pub mod diagnosis;
+pub mod estimate;
 pub mod extractor;
 pub mod failure_map;
 pub mod isotonic;
@@ -9,8 +12,10 @@ pub mod live;
 pub mod log;
 pub mod map_library;
 pub mod monotone;
+pub mod paving;
 pub mod receive;
 pub mod record;
 pub mod report;
 pub mod sensitivity;
+pub mod uncertainty;
 pub mod view;

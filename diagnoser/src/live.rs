@@ -3,9 +3,8 @@
 
 mod track;
 
-use crate::diagnosis::{Diagnosis, Outcome, diagnose};
+use crate::diagnosis::{Diagnoser, Diagnosis, Outcome};
 use crate::extractor::{FeatureExtractor, FeaturePlan};
-use crate::failure_map::FailureMapSet;
 use crate::map_library::MapKey;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::feature::{Features, RawFeatures};
@@ -80,7 +79,7 @@ pub struct Status {
 
 enum Maps {
     Wanted,
-    Ready(Arc<FailureMapSet>),
+    Ready(Arc<Diagnoser>),
     Refused(String),
 }
 
@@ -371,11 +370,11 @@ impl Live {
         let (Some(x), Some(k), false) = (&track.extractor, &track.key, track.is_final) else {
             return;
         };
-        let Some(Maps::Ready(set)) = self.maps.get(k) else {
+        let Some(Maps::Ready(diagnoser)) = self.maps.get(k) else {
             return;
         };
-        let features = set.features(&x.features());
-        let diagnosis = diagnose(set, &features, &x.missing());
+        let features = diagnoser.maps.features(&x.features());
+        let diagnosis = diagnoser.diagnose(&features, &x.missing());
         track.features = features;
         track.outcome = Some(diagnosis.outcome.clone());
         let report = track.report(diagnosis, false);
@@ -392,23 +391,21 @@ impl Live {
         let nothing = |reason: String| Outcome::Incomplete { reason, area: None };
         let diagnosis = match (&track.extractor, &track.key) {
             (Some(x), Some(k)) => match self.maps.get(k) {
-                Some(Maps::Ready(set)) => {
+                Some(Maps::Ready(diagnoser)) => {
                     let load = track.run.load_n_m;
-                    if load != set.header.load_n_m && !load.is_nan() {
-                        let allowed = set.header.load_n_m;
+                    let allowed = diagnoser.maps.header.load_n_m;
+                    if load != allowed && !load.is_nan() {
                         lacking.push(format!("load torque {load} N m; the maps are for {allowed} N m"));
                     }
                     lacking.extend(x.missing());
-                    let features = set.features(&x.features());
-                    diagnose(set, &features, &lacking)
+                    let features = diagnoser.maps.features(&x.features());
+                    diagnoser.diagnose(&features, &lacking)
                 }
                 Some(Maps::Refused(why)) => {
                     lacking.push(why.clone());
                     lacking.extend(x.missing());
-                    Diagnosis {
-                        outcome: nothing(lacking.join("; ")),
-                        features: Features::over(&x.features(), &RawFeatures::default()),
-                    }
+                    let features = Features::over(&x.features(), &RawFeatures::default());
+                    Diagnosis::without_maps(nothing(lacking.join("; ")), features)
                 }
                 // a diagnosis follows when they come
                 _ => return,
@@ -418,15 +415,10 @@ impl Live {
                     lacking.insert(0, "sample 1 is missing: the rotor angle at rest is unknown".into());
                 }
                 lacking.extend(x.missing());
-                Diagnosis {
-                    outcome: nothing(lacking.join("; ")),
-                    features: Features::over(&x.features(), &RawFeatures::default()),
-                }
+                let features = Features::over(&x.features(), &RawFeatures::default());
+                Diagnosis::without_maps(nothing(lacking.join("; ")), features)
             }
-            (None, _) => Diagnosis {
-                outcome: nothing(lacking.join("; ")),
-                features: Features::default(),
-            },
+            (None, _) => Diagnosis::without_maps(nothing(lacking.join("; ")), Features::default()),
         };
         track.is_final = true;
         track.features = diagnosis.features;
@@ -436,9 +428,9 @@ impl Live {
     }
 
     /// Maps that came, or why they cannot.
-    pub fn maps(&mut self, key: &MapKey, maps: Result<Arc<FailureMapSet>, String>) {
+    pub fn maps(&mut self, key: &MapKey, maps: Result<Arc<Diagnoser>, String>) {
         let state = match maps {
-            Ok(set) => Maps::Ready(set),
+            Ok(diagnoser) => Maps::Ready(diagnoser),
             Err(why) => Maps::Refused(why),
         };
         self.maps.insert(key.clone(), state);

@@ -243,13 +243,13 @@ mod tests {
                 },
                 stream: u64::MAX - run,
                 is_final: true,
-                diagnosis: Diagnosis {
+                diagnosis: Diagnosis::without_maps(
                     outcome,
-                    features: Features {
+                    Features {
                         p2_a: Some(0.5),
                         ..Features::default()
                     },
-                },
+                ),
                 samples_received: 30_000,
                 samples_lost: 0,
                 telemetry_ns: 1,

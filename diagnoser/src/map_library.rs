@@ -1,7 +1,10 @@
 //! Which maps a test needs, and where saved ones are found.
 
+use crate::calibration::{COVERAGE, Calibration};
+use crate::diagnosis::{Diagnoser, Known};
 use crate::failure_map::{FailureMapSet, MapSetHeader};
 use schemas::error::{Error, Result};
+use sim_worker::spread::Spread;
 use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
@@ -94,6 +97,57 @@ impl MapKey {
     }
 }
 
+/// What intervals are to be made for.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    /// from unit to unit
+    pub spread: Spread,
+    pub coverage: f64,
+}
+
+impl Choice {
+    /// One unit, whose parameters are known; 95 %.
+    pub fn usual() -> Self {
+        Self {
+            spread: Spread::none(),
+            coverage: COVERAGE,
+        }
+    }
+
+    /// File of the calibration beside maps.
+    pub fn calibration_file(&self, maps: &Path) -> PathBuf {
+        maps.with_file_name(Calibration::file_name(&self.spread.name))
+    }
+
+    /// The calibration beside maps, if there is one. Refuses one of other maps or half-widths.
+    pub fn calibration(&self, maps: &Path, set: &FailureMapSet) -> Result<Option<Calibration>> {
+        let file = self.calibration_file(maps);
+        if !file.exists() {
+            return Ok(None);
+        }
+        let c = Calibration::load(&file, &set.fingerprint())?;
+        if c.half_width != self.spread.half_width {
+            let (found, allowed) = (c.spread().fingerprint(), self.spread.fingerprint());
+            let place = format!("half-widths of spread `{}`", self.spread.name);
+            return Err(Error::bad(file.display().to_string(), place, found, allowed));
+        }
+        Ok(Some(c))
+    }
+
+    /// Maps with the calibration beside them. Without one, maps of one known unit have uncalibrated
+    /// bands; those of a fleet are refused.
+    pub fn ready(&self, maps: &Path, set: FailureMapSet, known: &Known) -> Result<Diagnoser> {
+        let calibration = self.calibration(maps, &set)?;
+        if calibration.is_none() && !self.spread.is_none() {
+            let folder = maps.parent().unwrap_or(maps).display();
+            let file = self.calibration_file(maps).display().to_string();
+            let allowed = format!("a calibration: ema calibrate {folder} --spread {}", self.spread.name);
+            return Err(Error::bad(file, "file", "nothing", allowed));
+        }
+        Diagnoser::new(set, calibration, self.coverage, known)
+    }
+}
+
 /// Saved map sets in folders.
 #[derive(Clone, Debug)]
 pub struct MapLibrary {
@@ -153,14 +207,20 @@ impl MapLibrary {
         files
     }
 
-    /// The first maps that serve.
-    pub fn find(&self, key: &MapKey) -> Option<FailureMapSet> {
+    /// The first maps that serve, made ready with the calibration beside them.
+    pub fn diagnoser(&self, key: &MapKey, choice: &Choice) -> Option<Result<Diagnoser>> {
+        let (file, set) = self.find(key)?;
+        Some(choice.ready(&file, set, &Vec::new()))
+    }
+
+    /// The first maps that serve, and their file.
+    pub fn find(&self, key: &MapKey) -> Option<(PathBuf, FailureMapSet)> {
         let cached = self.folders.iter().flat_map(|f| Self::files_in(f));
         self.files
             .iter()
             .cloned()
             .chain(cached)
-            .filter_map(|f| FailureMapSet::load(&f).ok())
-            .find(|set| key.is_served_by(&set.header))
+            .filter_map(|f| FailureMapSet::load(&f).ok().map(|set| (f, set)))
+            .find(|(_, set)| key.is_served_by(&set.header))
     }
 }

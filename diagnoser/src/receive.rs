@@ -2,7 +2,7 @@
 //! a log and to a screen.
 
 use crate::diagnosis::Outcome;
-use crate::failure_map::FailureMapSet;
+use crate::diagnosis::Diagnoser;
 use crate::live::{Known, Live};
 use crate::log::Log;
 use crate::map_library::MapKey;
@@ -42,7 +42,7 @@ pub enum Show {
 }
 
 /// Fetches maps: from a folder, or by making them.
-pub type MapSource = Box<dyn Fn(&MapKey) -> Result<FailureMapSet, String> + Send>;
+pub type MapSource = Box<dyn Fn(&MapKey) -> Result<Diagnoser, String> + Send>;
 
 /// How to run.
 pub struct Options {
@@ -73,7 +73,7 @@ pub struct Counts {
 }
 
 /// Maps that were asked for, or why they cannot be had.
-type Fetched = (MapKey, Result<FailureMapSet, String>);
+type Fetched = (MapKey, Result<Diagnoser, String>);
 
 fn fetch_maps(source: MapSource) -> (Sender<MapKey>, Receiver<Fetched>) {
     let (ask, asked) = channel::<MapKey>();

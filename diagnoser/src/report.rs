@@ -1,10 +1,11 @@
 //! Diagnoses as JSON, as a table and as messages: the same keys everywhere.
 
-use crate::diagnosis::{Area, COVERAGE, Diagnosis, Outcome};
+use crate::diagnosis::{Area, Diagnosis, Outcome, Part};
 use crate::live::Report;
 use arrow::array::{ArrayRef, BooleanArray, Float64Array, Int64Array, RecordBatch, StringArray, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
-use schemas::feature::Feature;
+use schemas::fault::Interval;
+use schemas::feature::{Feature, Features};
 use schemas::stream::diagnosis::DiagnosisMessage;
 use schemas::stream::wire::{to_number, to_text};
 use serde_json::{Value, json};
@@ -20,17 +21,34 @@ pub fn to_json(d: &Diagnosis) -> Value {
         "fsj": interval(area.map(|a| a.fsj.lo), area.map(|a| a.fsj.hi), area.map(|a| a.centroid.0)),
         "zeta": interval(area.map(|a| a.zeta.lo), area.map(|a| a.zeta.hi), area.map(|a| a.centroid.1)),
         "area": area.map(|a| a.size),
-        "coverage": COVERAGE,
-        "features": {
-            "p1_rad_per_s": f.p1_rad_per_s,
-            "p2_a": f.p2_a,
-            "p3": f.p3,
-            "p3_rad": f.p3_rad,
-            "ripple_rad_per_s": f.ripple_rad_per_s,
-        },
+        "area_inner": area.map(|a| a.inner),
+        "area_outer": area.map(|a| a.outer),
+        "areas": area.map_or(Vec::new(), |a| a.parts.iter().map(part).collect()),
+        "misfit": d.misfit.map(|(q, gate)| json!({"found": q.sqrt(), "allowed": gate.sqrt()})),
+        "coverage": d.coverage,
+        "calibrated": d.calibrated,
+        "features": features(f),
         "contradicting": contradicting(&d.outcome).iter().map(|f| f.name()).collect::<Vec<_>>(),
         "reason": d.outcome.reason(),
     })
+}
+
+/// One of several separated parts of an area.
+fn part(p: &Part) -> Value {
+    let interval = |i: Interval, e: f64| json!({"lo": i.lo, "hi": i.hi, "estimate": e});
+    json!({
+        "fsj": interval(p.fsj, p.centroid.0),
+        "zeta": interval(p.zeta, p.centroid.1),
+        "area_inner": p.inner,
+        "area_outer": p.outer,
+    })
+}
+
+/// Features by key; P3 also in rad.
+fn features(f: &Features) -> Value {
+    let named = Feature::ALL.map(|x| (x.key().to_string(), json!(f.get(x))));
+    let p3_rad = ("p3_rad".to_string(), json!(f.p3_rad));
+    named.into_iter().chain([p3_rad]).collect::<serde_json::Map<_, _>>().into()
 }
 
 fn contradicting(outcome: &Outcome) -> &[Feature] {
@@ -130,7 +148,7 @@ pub fn to_message(r: &Report) -> DiagnosisMessage {
         zeta_hi: of(|a| a.zeta.hi),
         zeta_estimate: of(|a| a.centroid.1),
         area: of(|a| a.size),
-        coverage: COVERAGE,
+        coverage: d.coverage,
         p1_rad_per_s: known(f.p1_rad_per_s),
         p2_a: known(f.p2_a),
         p3: known(f.p3),
@@ -202,23 +220,13 @@ pub fn to_batch(rows: &[Logged]) -> RecordBatch {
         let column = number(&|r| r.report.diagnosis.outcome.area().map(f));
         add(name, DataType::Float64, true, column);
     }
-    add("coverage", DataType::Float64, false, number(&|_| Some(COVERAGE)));
-    type Get = fn(&schemas::feature::Features) -> Option<f64>;
-    let features: [(&str, Get); 5] = [
-        ("p1_rad_per_s", |f| f.p1_rad_per_s),
-        ("p2_a", |f| f.p2_a),
-        ("p3", |f| f.p3),
-        ("p3_rad", |f| f.p3_rad),
-        ("ripple_rad_per_s", |f| f.ripple_rad_per_s),
-    ];
-    for (name, f) in features {
-        add(
-            name,
-            DataType::Float64,
-            true,
-            number(&|r| f(&r.report.diagnosis.features)),
-        );
+    add("coverage", DataType::Float64, false, number(&|r| Some(r.report.diagnosis.coverage)));
+    for f in Feature::ALL {
+        let column = number(&|r| r.report.diagnosis.features.get(f));
+        add(f.key(), DataType::Float64, true, column);
     }
+    let p3_rad = number(&|r| r.report.diagnosis.features.p3_rad);
+    add("p3_rad", DataType::Float64, true, p3_rad);
     let names = |r: &Logged| {
         let list: Vec<&str> = contradicting(&r.report.diagnosis.outcome)
             .iter()

@@ -268,11 +268,15 @@ mod tests {
     #[test]
     fn prop_view_shows_interval_loss_and_trouble() {
         let area = Area {
-            strips: Vec::new(),
+            parts: Vec::new(),
+            boxes: Vec::new(),
             fsj: Interval { lo: 2.989, hi: 3.008 },
             zeta: Interval { lo: 0.2979, hi: 0.3016 },
             centroid: (2.9988, 0.29978),
             size: 1e-5,
+            inner: 1e-5,
+            outer: 1e-5,
+            band: 3.0,
         };
         let status = Status {
             actuator: "left-aileron".into(),

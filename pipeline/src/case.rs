@@ -3,11 +3,11 @@
 use crate::input::{self, Measured};
 use crate::maps::{self, MapRequest};
 use anyhow::Result;
-use diagnoser::diagnosis::{COVERAGE, Diagnosis, Outcome, diagnose};
+use diagnoser::diagnosis::{Diagnoser, Diagnosis, Known, Outcome, parse_known};
 use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
 use diagnoser::failure_map::FailureMapSet;
 use diagnoser::live::LOWEST_RATE_HZ;
-use diagnoser::map_library;
+use diagnoser::map_library::{self, Choice};
 use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
@@ -15,6 +15,7 @@ use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::sequence::TestSequence;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;
+use sim_worker::spread::Cause;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -30,6 +31,10 @@ pub struct Settings {
     /// `auto`, `none`, or a sensor model by name or file
     pub sensors: String,
     pub grid: FaultGrid,
+    /// what intervals are to be made for
+    pub choice: Choice,
+    /// what is known of the unit: KEY=NUMBER
+    pub known: Vec<String>,
 }
 
 /// A diagnosed recording.
@@ -37,7 +42,7 @@ pub struct Case {
     pub measured: Measured,
     pub raw: RawFeatures,
     pub diagnosis: Diagnosis,
-    pub maps: FailureMapSet,
+    pub diagnoser: Diagnoser,
 }
 
 /// Features of a recording.
@@ -69,12 +74,21 @@ pub fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Opti
     Ok(reference.filter(|r| !m.sensors.is_empty() || input::is_quantised(m, r)))
 }
 
-fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence, rest: f64) -> Result<FailureMapSet> {
+fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence, rest: f64) -> Result<Diagnoser> {
     let equivalent_current = [Channel::IA, Channel::IB, Channel::IC]
         .iter()
         .any(|c| m.telemetry.column(*c).is_none());
+    // the resolver knows the angle: where it is a cause of spread it is a known one
+    let known = |maps_rest_rad: f64| -> Result<Known> {
+        let mut known = parse_known(&s.known, &s.actuator, maps_rest_rad)?;
+        let cause = Cause::RestAngle;
+        if s.choice.spread.half_width[cause as usize] > 0.0 && !known.iter().any(|(c, _)| *c == cause) {
+            known.push((cause, cause.deviation(&s.actuator, maps_rest_rad, rest)));
+        }
+        Ok(known)
+    };
     let Some(dir) = &s.maps else {
-        return maps::cached(&MapRequest {
+        let request = MapRequest {
             actuator: s.actuator.clone(),
             sequence: sequence.clone(),
             rate_hz: m.rate_hz,
@@ -82,7 +96,8 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
             rest_angle_rad: map_library::rounded_rest_angle(rest),
             equivalent_current,
             grid: s.grid.clone(),
-        });
+        };
+        return maps::cached(&request, &s.choice, &known(request.rest_angle_rad)?);
     };
     let file = if dir.is_dir() {
         dir.join("maps.parquet")
@@ -136,7 +151,8 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
     if sensors != h.sensors {
         return Err(bad("sensors", sensors, h.sensors.clone()));
     }
-    Ok(set)
+    let known = known(h.rest_angle_rad)?;
+    Ok(s.choice.ready(&file, set, &known)?)
 }
 
 /// Diagnoses a telemetry file.
@@ -160,13 +176,14 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         .column(Channel::ThetaM)
         .filter(|_| begins)
         .map_or(0.0, |t| t[0]);
-    let maps = chosen_maps(
+    let diagnoser = chosen_maps(
         path,
         &measured,
         settings,
         &sequence,
         first.rem_euclid(std::f64::consts::TAU),
     )?;
+    let maps = &diagnoser.maps;
     let load = measured.load_n_m.unwrap_or(maps.header.load_n_m);
     if load != maps.header.load_n_m {
         let allowed = format!("{} (of the maps; --maps chooses others)", maps.header.load_n_m);
@@ -175,7 +192,7 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
     let plan = FeaturePlan::new(a, &sequence, measured.rate_hz, maps.header.equivalent_current);
     let x = extract(&measured, Arc::new(plan));
     let raw = x.features();
-    let mut diagnosis = diagnose(&maps, &maps.features(&raw), &x.missing());
+    let mut diagnosis = diagnoser.diagnose(&maps.features(&raw), &x.missing());
     if !begins {
         let n = measured.telemetry.first;
         let mut reason = format!("the recording starts at sample {n}: the rotor angle at rest is unknown");
@@ -190,8 +207,24 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         measured,
         raw,
         diagnosis,
-        maps,
+        diagnoser,
     })
+}
+
+/// What the intervals promise, and on what grounds.
+fn coverage(case: &Case) -> String {
+    let percent = 100.0 * case.diagnosis.coverage;
+    match &case.diagnoser.calibration {
+        Some(c) => {
+            let of = if c.spread().is_none() {
+                "of this very actuator (no spread from unit to unit)".to_string()
+            } else {
+                format!("of units of spread `{}`", c.spread)
+            };
+            format!("coverage  {percent:.1} %, calibrated on {} simulated tests {of}", c.runs)
+        }
+        None => format!("coverage  {percent:.1} % by design, not calibrated (ema calibrate)"),
+    }
 }
 
 /// The diagnosis for a person.
@@ -213,9 +246,24 @@ pub fn to_text(case: &Case) -> String {
                 "zeta      {:.5}  in {:.5} .. {:.5}",
                 a.centroid.1, a.zeta.lo, a.zeta.hi
             ));
+            if a.parts.len() > 1 {
+                for (k, p) in a.parts.iter().enumerate() {
+                    line(format!(
+                        "area {:2}   FSJ {:.4} in {:.4} .. {:.4}, zeta {:.5} in {:.5} .. {:.5}",
+                        k + 1,
+                        p.centroid.0,
+                        p.fsj.lo,
+                        p.fsj.hi,
+                        p.centroid.1,
+                        p.zeta.lo,
+                        p.zeta.hi
+                    ));
+                }
+            }
+            line(coverage(case));
             line(format!(
-                "coverage  {:.0} % (bands of 3 sigma of the assumed sensors, and the grid's errors)",
-                100.0 * COVERAGE
+                "area      {:.3e} .. {:.3e} (FSJ x zeta, enclosed from within and without)",
+                a.inner, a.outer
             ));
         }
         o => line(format!("outcome   {}", o.name().replace('_', " "))),
@@ -223,19 +271,20 @@ pub fn to_text(case: &Case) -> String {
     if !d.outcome.reason().is_empty() {
         line(format!("reason    {}", d.outcome.reason()));
     }
+    let band = d.outcome.area().map_or(case.diagnoser.usual_band(), |a| a.band);
     for f in Feature::ALL {
-        if let (Some(v), Some(m)) = (d.features.get(f), case.maps.map(f)) {
+        if let (Some(v), Some(m)) = (d.features.get(f), case.diagnoser.maps.map(f)) {
             let (lo, hi) = m.range();
             let (f0, z0) = d.outcome.area().map_or((m.fsj[0], m.zeta[0]), |a| a.centroid);
-            let h = m.half_width(f0, z0);
+            let h = band * case.diagnoser.uncertainty(f, f0, z0).unwrap_or(f64::NAN);
             line(format!(
-                "{:9} {v:.6e} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}",
+                "{:11} {v:.6e} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}",
                 f.name(),
                 f.unit()
             ));
         }
     }
-    let h = &case.maps.header;
+    let h = &case.diagnoser.maps.header;
     let sensors = if h.sensors == "none" {
         "noise free"
     } else {

@@ -1,13 +1,15 @@
 //! `ema demo`: grid, maps, the four cases of the paper's Table I, and a report.
 
 use crate::case::{self, Settings};
+use crate::calibrate::{Effort, TestKind, calibrate};
 use crate::generate::{COMMIT, Plan, generate};
 use crate::maps;
 use crate::report::{self, Figure, Report, Section, Table, TableRow};
 use crate::report_pages;
 use anyhow::Result;
-use diagnoser::diagnosis::{Outcome, diagnose};
+use diagnoser::diagnosis::{Diagnoser, Outcome};
 use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
+use diagnoser::map_library::Choice;
 use diagnoser::sensitivity::noise_sigma;
 use rayon::prelude::*;
 use schemas::channel::{Channel, ChannelSet};
@@ -55,11 +57,12 @@ pub fn quantile(sorted: &[f64], q: f64) -> f64 {
 pub fn statistics(
     run: &Collector,
     truth: FaultState,
-    set: &diagnoser::failure_map::FailureMapSet,
+    diagnoser: &Diagnoser,
     plan: &Arc<FeaturePlan>,
     sensors: &sim_worker::sensor::SensorModel,
     seeds: u64,
 ) -> CaseStatistics {
+    let set = &diagnoser.maps;
     let rest_angle_rad = set.header.rest_angle_rad;
     let results: Vec<(f64, f64, bool, f64, f64)> = (0..seeds)
         .into_par_iter()
@@ -75,7 +78,7 @@ pub fn statistics(
             s.measure(&run.view(), &mut out);
             let mut x = FeatureExtractor::new(plan.clone());
             x.push(&out.view());
-            let d = diagnose(set, &set.features(&x.features()), &x.missing());
+            let d = diagnoser.diagnose(&set.features(&x.features()), &x.missing());
             match &d.outcome {
                 Outcome::Located(a) => {
                     let percent = |exact: f64, found: f64| 100.0 * (exact - found).abs() / exact;
@@ -138,7 +141,22 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     let steps = generate(&plan, &dataset, "grid")?.ok_or(crate::Interrupted)?;
     let grid_s = begin.elapsed().as_secs_f64();
     let set = maps::build(&dataset, &sequence, &actuator, false, None, false)?;
-    set.save(&dataset.join("maps.parquet"))?;
+    let maps_file = dataset.join("maps.parquet");
+    set.save(&maps_file)?;
+    let kind = TestKind::of(
+        &maps_file,
+        &set.header,
+        actuator.clone(),
+        sequence.clone(),
+        Some(sensors.clone()),
+    )?;
+    let choice = Choice::usual();
+    if !matches!(choice.calibration(&maps_file, &set), Ok(Some(_))) {
+        let made = calibrate(&set, &kind, &choice.spread, Effort::QUICK)?.ok_or(crate::Interrupted)?;
+        made.save(&choice.calibration_file(&maps_file))?;
+    }
+    let diagnoser = choice.ready(&maps_file, set, &Vec::new())?;
+    let set = &diagnoser.maps;
 
     // the cases: simulated noise free once, recorded through the sensors
     let bare = experiment.bare(channels.with(Channel::TorqueM));
@@ -172,6 +190,8 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
         sequence: None,
         sensors: "auto".into(),
         grid: plan.grid.clone(),
+        choice: choice.clone(),
+        known: Vec::new(),
     };
     let cases_dir = out.join("cases");
     std::fs::create_dir_all(&cases_dir)?;
@@ -187,12 +207,12 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
         let seed = 1000 + i as u64;
         record(&path, &plan, &collected[i], seed)?;
         let c = case::run(&path, &settings)?;
-        let s = statistics(&collected[i], truth, &set, &feature_plan, &sensors, seeds);
+        let s = statistics(&collected[i], truth, &diagnoser, &feature_plan, &sensors, seeds);
         let area = c.diagnosis.outcome.area();
         let found = area.map_or((f64::NAN, f64::NAN), |a| a.centroid);
         let percent = |exact: f64, x: f64| 100.0 * (exact - x).abs() / exact;
         let (ez, ef) = (percent(zeta, found.1), percent(fsj, found.0));
-        let sigma = noise_sigma(&set, fsj, zeta);
+        let sigma = noise_sigma(set, fsj, zeta);
         rows.push(TableRow {
             cells: vec![
                 format!("{zeta:.2} / {fsj:.1}"),
@@ -279,7 +299,7 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
         .map(|m| {
             (
                 format!("map_{}", m.feature.name()),
-                Figure::Map(report_pages::map_plot(m, None, None)),
+                Figure::Map(report_pages::map_plot(m, None)),
             )
         })
         .collect();
@@ -326,10 +346,11 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     let report = Report {
         title: "Failure maps of an electromechanical actuator".into(),
         summary: format!(
-            "{runs} runs of the 3 s pre-flight test ({} x {} faults) became four failure maps; the paper's four cases were \
+            "{runs} runs of the 3 s pre-flight test ({} x {} faults) became {} failure maps; the paper's four cases were \
              diagnosed from recordings with sensor noise.",
             plan.grid.fsj.len(),
-            plan.grid.zeta.len()
+            plan.grid.zeta.len(),
+            set.maps.len()
         ),
         facts: vec![
             (
@@ -355,7 +376,12 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
             ("Grid".into(), format!("{runs} runs, {steps} steps now, {grid_s:.1} s")),
             (
                 "Bands".into(),
-                "3 sigma of sensor noise, interpolation, one sample, projection onto a monotone surface".into(),
+                format!(
+                    "{:.0} % coverage, calibrated on {} simulated tests; uncertainties from sensor noise, interpolation, one \
+                     sample, projection onto a monotone surface",
+                    100.0 * choice.coverage,
+                    Effort::QUICK.runs
+                ),
             ),
             (
                 "Program".into(),
@@ -409,7 +435,7 @@ fn record(path: &Path, plan: &Plan, run: &Collector, seed: u64) -> Result<()> {
 
 fn case_section(title: &str, stem: &str, c: &case::Case, truth: Option<FaultState>) -> Section {
     let d = &c.diagnosis;
-    let figures = report_pages::case_figures(stem, &c.maps, d, truth);
+    let figures = report_pages::case_figures(stem, &c.diagnoser, d, truth);
     let text = match d.outcome.area() {
         Some(a) => format!(
             "{}: FSJ {:.4} in {:.4} to {:.4}, zeta {:.5} in {:.5} to {:.5}. {}",

@@ -182,22 +182,16 @@ impl FeatureSink {
         }
     }
 
-    /// Mean and standard deviation over the seeds: mean speed, ripple, P2, P3.
-    fn result(&self) -> [(Option<f64>, f64); 4] {
-        let all: Vec<RawFeatures> = self.extractors.iter().map(FeatureExtractor::features).collect();
-        let stat = |get: fn(&RawFeatures) -> Option<f64>| {
-            let values: Option<Vec<f64>> = all.iter().map(get).collect();
+    /// Mean and standard deviation over the seeds, in the order of [`RawFeatures::COLUMNS`].
+    fn result(&self) -> [(Option<f64>, f64); 6] {
+        let all: Vec<[Option<f64>; 6]> = self.extractors.iter().map(|x| x.features().values()).collect();
+        std::array::from_fn(|k| {
+            let values: Option<Vec<f64>> = all.iter().map(|v| v[k]).collect();
             let Some(v) = values else { return (None, 0.0) };
             let mean = v.iter().sum::<f64>() / v.len() as f64;
             let var = v.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / (v.len().max(2) - 1) as f64;
             (Some(mean), var.sqrt())
-        };
-        [
-            stat(|f| f.mean_speed_rad_per_s),
-            stat(|f| f.ripple_rad_per_s),
-            stat(|f| f.p2_a),
-            stat(|f| f.p3_rad),
-        ]
+        })
     }
 }
 
@@ -228,18 +222,6 @@ impl TelemetrySink for RunSink {
         Ok(())
     }
 }
-
-/// Column names of the features table after run, fsj, zeta, rest_angle_rad.
-const FEATURE_COLUMNS: [&str; 8] = [
-    "mean_speed_rad_per_s",
-    "ripple_rad_per_s",
-    "p2_a",
-    "p3_rad",
-    "mean_speed_sd_rad_per_s",
-    "ripple_sd_rad_per_s",
-    "p2_sd_a",
-    "p3_sd_rad",
-];
 
 struct DatasetStore<'a> {
     plan: &'a Plan,
@@ -322,14 +304,15 @@ impl Store for DatasetStore<'_> {
     }
 }
 
-/// A run and mean and standard deviation of its mean speed, ripple, P2, P3.
-type FeatureRow<'a> = (&'a Run, [(Option<f64>, f64); 4]);
+/// A run, and mean and standard deviation of each of [`RawFeatures::COLUMNS`].
+type FeatureRow<'a> = (&'a Run, [(Option<f64>, f64); 6]);
 
 /// Features table of one block.
 fn write_features(path: &Path, provenance: &Provenance, rows: &[FeatureRow<'_>]) -> Result<()> {
     let mut fields = vec![Field::new("run", DataType::UInt64, false)];
-    for name in ["fsj", "zeta", "rest_angle_rad"].iter().chain(&FEATURE_COLUMNS) {
-        fields.push(Field::new(*name, DataType::Float64, true));
+    let features = RawFeatures::COLUMNS.into_iter().chain(RawFeatures::DEVIATIONS);
+    for name in ["fsj", "zeta", "rest_angle_rad"].into_iter().chain(features) {
+        fields.push(Field::new(name, DataType::Float64, true));
     }
     let schema = Arc::new(Schema::new(fields));
     let numbers = |f: &dyn Fn(&FeatureRow<'_>) -> Option<f64>| -> ArrayRef {
@@ -341,10 +324,10 @@ fn write_features(path: &Path, provenance: &Provenance, rows: &[FeatureRow<'_>])
         numbers(&|(r, _)| Some(r.lane.fault.zeta)),
         numbers(&|(r, _)| Some(r.lane.rest_angle_rad)),
     ];
-    for k in 0..4 {
+    for k in 0..RawFeatures::COLUMNS.len() {
         columns.push(numbers(&|(_, f)| f[k].0));
     }
-    for k in 0..4 {
+    for k in 0..RawFeatures::COLUMNS.len() {
         columns.push(numbers(&|(_, f)| f[k].0.map(|_| f[k].1)));
     }
     let batch = RecordBatch::try_new(schema, columns).map_err(|e| Error::torn(path, e))?;

@@ -1,6 +1,7 @@
 //! The ground side: datasets, maps, diagnoses of recordings, queries, reports, and the program `ema`.
 pub mod bench_live;
 pub mod bridge;
+pub mod calibrate;
 pub mod case;
 pub mod cli;
 pub mod demo;

@@ -1,15 +1,17 @@
 //! The map builder: features of a dataset, read with polars, become failure maps.
 
+use crate::calibrate::{Effort, TestKind, calibrate};
 use crate::generate::{Plan, generate};
 use crate::progress::note;
 use anyhow::Result;
+use diagnoser::diagnosis::{Diagnoser, Known};
 use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
-use diagnoser::map_library::REST_ANGLE_TOLERANCE_RAD;
+use diagnoser::map_library::{Choice, REST_ANGLE_TOLERANCE_RAD};
 use polars::prelude::*;
 use schemas::channel::ChannelSet;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
-use schemas::feature::{Feature, RawFeatures};
+use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::recording::{Provenance, metadata};
 use schemas::sequence::{Command, TestSequence};
 use sim_worker::parameters::ActuatorParameters;
@@ -31,6 +33,19 @@ pub struct MapRequest {
 }
 
 impl MapRequest {
+    /// The kind of tests that the maps are for.
+    pub fn kind(&self) -> TestKind {
+        TestKind {
+            actuator: self.actuator.clone(),
+            sequence: self.sequence.clone(),
+            sensors: self.sensors.clone(),
+            rate_hz: self.rate_hz,
+            rest_angle_rad: self.rest_angle_rad,
+            load_n_m: 0.0,
+            equivalent_current: self.equivalent_current,
+        }
+    }
+
     fn plan(&self) -> Result<Plan> {
         let step = self.actuator.step_s;
         let channels = ChannelSet::basic();
@@ -64,9 +79,22 @@ pub fn cache_dir() -> PathBuf {
         .unwrap_or_else(|| std::env::temp_dir().join("ema-cache"))
 }
 
-/// Maps for a request from the cache, made on first use.
-pub fn cached(request: &MapRequest) -> Result<FailureMapSet> {
-    made(&cache_dir().join("maps").join(request.plan()?.fingerprint()), request)
+/// Maps for a request from the cache, made and calibrated on first use.
+///
+/// * `known` of the unit, as on the command line
+pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Diagnoser> {
+    let dir = cache_dir().join("maps").join(request.plan()?.fingerprint());
+    let set = made(&dir, request)?;
+    let file = dir.join("maps.parquet");
+    // a calibration that cannot be used is made anew
+    if !matches!(choice.calibration(&file, &set), Ok(Some(_))) {
+        let kind = request.kind();
+        let n = Effort::QUICK.runs + if choice.spread.is_none() { 0 } else { Effort::QUICK.surface_runs };
+        note(&format!("calibrating the maps ({n} runs, spread {})", choice.spread.name));
+        let made = calibrate(&set, &kind, &choice.spread, Effort::QUICK)?.ok_or(crate::Interrupted)?;
+        made.save(&choice.calibration_file(&file))?;
+    }
+    Ok(choice.ready(&file, set, known)?)
 }
 
 /// Maps for a request from a folder, made there on first use.
@@ -225,24 +253,20 @@ pub fn build(
         let allowed = format!("{} x {} grid points, each once", fsj.len(), zeta.len());
         return Err(Error::bad(file, "dataset", found, allowed).into());
     }
-    // raw features of every grid point
+    // raw features of every grid point, and their standard deviations
     let get = |name: &str| -> Result<Vec<Option<f64>>> {
         let all = column(name)?;
         Ok(rows.iter().map(|&i| all[i]).collect())
     };
-    let (mean, ripple) = (get("mean_speed_rad_per_s")?, get("ripple_rad_per_s")?);
-    let (p2, p3) = (get("p2_a")?, get("p3_rad")?);
-    let (mean_sd, ripple_sd) = (get("mean_speed_sd_rad_per_s")?, get("ripple_sd_rad_per_s")?);
-    let (p2_sd, p3_sd) = (get("p2_sd_a")?, get("p3_sd_rad")?);
+    let columns = |names: [&str; 6]| -> Result<Vec<RawFeatures>> {
+        let columns = names.map(get).into_iter().collect::<Result<Vec<_>>>()?;
+        let row = |i| RawFeatures::from_values(std::array::from_fn(|k| columns[k][i]), Some(rest));
+        Ok((0..rows.len()).map(row).collect())
+    };
+    let (measured, deviations) = (columns(RawFeatures::COLUMNS)?, columns(RawFeatures::DEVIATIONS)?);
     let healthy = rows.iter().position(|&i| fsj_all[i] == 1.0 && zeta_all[i] == 0.0);
     let healthy = healthy.ok_or_else(|| Error::bad(&file, "grid", "no healthy point", "FSJ 1, zeta 0 on the grid"))?;
-    let nominal = RawFeatures {
-        mean_speed_rad_per_s: mean[healthy],
-        ripple_rad_per_s: ripple[healthy],
-        p2_a: p2[healthy],
-        p3_rad: p3[healthy],
-        rest_angle_rad: Some(rest),
-    };
+    let nominal = measured[healthy];
     let slope = sequence.segments.iter().find_map(|s| match s.command {
         Command::Ramp { slope_rad_per_s } => Some(slope_rad_per_s.abs()),
         _ => None,
@@ -250,31 +274,27 @@ pub fn build(
     let mut maps = Vec::new();
     let mut left_out = Vec::new();
     for feature in Feature::ALL {
-        let value = |i: usize| {
-            let raw = RawFeatures {
-                mean_speed_rad_per_s: mean[i],
-                ripple_rad_per_s: ripple[i],
-                p2_a: p2[i],
-                p3_rad: p3[i],
-                rest_angle_rad: Some(rest),
-            };
-            schemas::feature::Features::over(&raw, &nominal).get(feature)
-        };
+        let value = |i: usize| Features::over(&measured[i], &nominal).get(feature);
         let raw: Vec<Option<f64>> = (0..rows.len()).map(value).collect();
         if raw.iter().all(Option::is_none) {
             continue;
         }
         let raw: Vec<f64> = raw.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect();
         let sd = |i: usize| -> f64 {
-            let s = |v: &[Option<f64>]| v[i].unwrap_or(0.0);
+            let (m, s) = (&measured[i], &deviations[i]);
+            let known = |x: Option<f64>| x.unwrap_or(0.0);
             match feature {
                 Feature::P1 => {
-                    let d = mean[i].unwrap_or(0.0) - nominal.mean_speed_rad_per_s.unwrap_or(0.0);
-                    (s(&ripple) * s(&ripple_sd)).hypot(d * s(&mean_sd)) / raw[i].abs().max(1e-12)
+                    let d = known(m.mean_speed_rad_per_s) - known(nominal.mean_speed_rad_per_s);
+                    let ripple = known(m.ripple_rad_per_s) * known(s.ripple_rad_per_s);
+                    ripple.hypot(d * known(s.mean_speed_rad_per_s)) / raw[i].abs().max(1e-12)
                 }
-                Feature::P2 => s(&p2_sd),
-                Feature::P3 => s(&p3_sd) / nominal.p3_rad.unwrap_or(1.0),
-                Feature::Ripple => s(&ripple_sd),
+                Feature::P2 => known(s.p2_a),
+                Feature::P3 => known(s.p3_rad) / nominal.p3_rad.unwrap_or(1.0),
+                Feature::Ripple => known(s.ripple_rad_per_s),
+                Feature::SpeedLoss => known(s.mean_speed_rad_per_s),
+                Feature::Rise => known(s.rise_s),
+                Feature::CurrentRms => known(s.current_rms_a),
             }
         };
         let mut noise: Vec<f64> = (0..rows.len()).map(sd).collect();

@@ -34,7 +34,8 @@ fn features(dir: &Path) -> Result<LazyFrame> {
     Ok(raw
         .join(healthy, on.clone(), on, JoinArgs::new(JoinType::Left))
         .with_columns([
-            (r.clone() * r + d.clone() * d).sqrt().alias("p1_rad_per_s"),
+            (r.clone() * r + d.clone() * d.clone()).sqrt().alias("p1_rad_per_s"),
+            (lit(0.0) - d).alias("speed_loss_rad_per_s"),
             (col("p3_rad") / col("p3_0")).alias("p3"),
         ])
         .drop(cols(["mean_0", "p3_0"])))

@@ -1,8 +1,9 @@
 //! What the report shows: maps with cuts, located areas, traces, tables.
 
 use crate::report::{Band, Curve, Figure, MapPlot, RegionPlot, Strip, TracePlot};
-use diagnoser::diagnosis::{Diagnosis, region};
-use diagnoser::failure_map::{FailureMap, FailureMapSet};
+use diagnoser::curves::common;
+use diagnoser::diagnosis::{Area, Diagnoser, Diagnosis};
+use diagnoser::failure_map::FailureMap;
 use diagnoser::monotone;
 use schemas::channel::Channel;
 use schemas::fault::FaultState;
@@ -13,9 +14,10 @@ use sim_worker::monitor::MonitorTrack;
 /// Most curves of a map that are drawn.
 const CURVES: usize = 11;
 
-/// A map with its curves, and the band of a measured value if there is one, as wide as at the
-/// fault pair `at`.
-pub fn map_plot(map: &FailureMap, value: Option<f64>, at: Option<(f64, f64)>) -> MapPlot {
+/// A map with its curves, and the band of a measured value if there is one.
+///
+/// * `band` value and half-width in the feature's unit
+pub fn map_plot(map: &FailureMap, band: Option<(f64, f64)>) -> MapPlot {
     let step = (map.zeta.len() - 1).div_ceil(CURVES - 1).max(1);
     let rows: Vec<usize> = (0..map.zeta.len()).step_by(step).collect();
     let (f0, f1) = (map.fsj[0], map.fsj[map.fsj.len() - 1]);
@@ -38,28 +40,25 @@ pub fn map_plot(map: &FailureMap, value: Option<f64>, at: Option<(f64, f64)>) ->
         .iter()
         .flat_map(|&r| (0..n).map(move |c| (map.fsj[c], map.raw[r * n + c])))
         .collect();
-    let (f, z) = at.unwrap_or((map.fsj[n / 2], map.zeta[map.zeta.len() / 2]));
     MapPlot {
-        name: map.feature.name().to_uppercase(),
+        name: label(map.feature),
         title: map.feature.title().into(),
         unit: map.feature.unit().into(),
         curves,
         knots,
-        band: value.map(|value| Band {
-            value,
-            half_width: map.half_width(f, z),
-        }),
+        band: band.map(|(value, half_width)| Band { value, half_width }),
     }
 }
 
 /// The bands in the plane of the faults: whole range, or zoomed on the located area.
 pub fn region_plot(
     title: &str,
-    set: &FailureMapSet,
+    diagnoser: &Diagnoser,
     d: &Diagnosis,
     truth: Option<FaultState>,
     zoom: bool,
 ) -> RegionPlot {
+    let set = &diagnoser.maps;
     let m = &set.maps[0];
     let whole = (
         (m.fsj[0], m.fsj[m.fsj.len() - 1]),
@@ -81,8 +80,8 @@ pub fn region_plot(
         _ => whole,
     };
     let lines = |k: i32| zeta_range.0 + (zeta_range.1 - zeta_range.0) * k as f64 / 240.0;
-    let strips = |s: &[diagnoser::diagnosis::Strip]| {
-        s.iter()
+    let strips = |s: Vec<diagnoser::curves::Strip>| {
+        s.into_iter()
             .map(|s| Strip {
                 zeta: s.zeta,
                 fsj_lo: s.fsj.lo,
@@ -90,17 +89,15 @@ pub fn region_plot(
             })
             .collect::<Vec<_>>()
     };
+    let band = area.map_or(diagnoser.usual_band(), |a| a.band);
     let regions = set
         .maps
         .iter()
         .filter_map(|m| {
             let v = d.features.get(m.feature)?;
-            let name = if m.feature == Feature::Ripple {
-                "ripple".to_string()
-            } else {
-                m.feature.name().to_uppercase()
-            };
-            Some((name, strips(&region(m, v, (0..=240).map(lines)))))
+            let name = label(m.feature);
+            let cut = [diagnoser.cut(m, v, band)];
+            Some((name, strips(common(&cut, (0..=240).map(lines)))))
         })
         .collect();
     RegionPlot {
@@ -108,34 +105,62 @@ pub fn region_plot(
         fsj_range,
         zeta_range,
         regions,
-        area: area.map_or(Vec::new(), |a| strips(&a.strips)),
+        area: area.map_or(Vec::new(), outline),
         hull: area.map(|a| ((a.fsj.lo, a.fsj.hi), (a.zeta.lo, a.zeta.hi))),
         truth: truth.map(|t| (t.fsj, t.zeta)),
         estimate: area.map(|a| a.centroid),
     }
 }
 
+/// Name in figures.
+fn label(f: Feature) -> String {
+    match f {
+        Feature::P1 | Feature::P2 | Feature::P3 => f.name().to_uppercase(),
+        f => f.name().replace('_', " "),
+    }
+}
+
+/// What the boxes of an area cover, on lines of constant zeta.
+fn outline(a: &Area) -> Vec<Strip> {
+    const LINES: usize = 160;
+    let line = |k: usize| {
+        let zeta = a.zeta.lo + a.zeta.width() * (k as f64 + 0.5) / LINES as f64;
+        let hit = a.boxes.iter().filter(|b| b.zeta.contains(zeta));
+        let fsj = hit.map(|b| b.fsj).reduce(schemas::fault::Interval::join)?;
+        Some(Strip {
+            zeta,
+            fsj_lo: fsj.lo,
+            fsj_hi: fsj.hi,
+        })
+    };
+    (0..LINES).filter_map(line).collect()
+}
+
 /// Everything that shows one diagnosis: maps with their cuts, bands in the plane of the faults, the
 /// located area enlarged. File stems begin with `stem`.
 pub fn case_figures(
     stem: &str,
-    set: &FailureMapSet,
+    diagnoser: &Diagnoser,
     d: &Diagnosis,
     truth: Option<FaultState>,
 ) -> Vec<(String, Figure)> {
-    let at = d.outcome.area().map(|a| a.centroid);
-    let mut figures: Vec<(String, Figure)> = set
+    let mut figures: Vec<(String, Figure)> = diagnoser
+        .maps
         .maps
         .iter()
         .map(|m| {
-            let plot = map_plot(m, d.features.get(m.feature), at);
+            let n = (m.fsj.len() / 2, m.zeta.len() / 2);
+            let at = d.outcome.area().map_or((m.fsj[n.0], m.zeta[n.1]), |a| a.centroid);
+            let band = d.outcome.area().map_or(diagnoser.usual_band(), |a| a.band);
+            let half = band * diagnoser.uncertainty(m.feature, at.0, at.1).unwrap_or(f64::NAN);
+            let plot = map_plot(m, d.features.get(m.feature).map(|v| (v, half)));
             (format!("{stem}_map_{}", m.feature.name()), Figure::Map(plot))
         })
         .collect();
     let mut region = |name: &str, title: &str, zoom: bool| {
         figures.push((
             format!("{stem}_{name}"),
-            Figure::Region(region_plot(title, set, d, truth, zoom)),
+            Figure::Region(region_plot(title, diagnoser, d, truth, zoom)),
         ));
     };
     region("region", "Bands in the plane of the faults", false);

@@ -12,10 +12,26 @@ pub enum Feature {
     P3,
     /// Speed ripple about its own mean in P1's window [rad/s].
     Ripple,
+    /// Mean speed in P1's window below that of the nominal run [rad/s]. With the ripple it makes up P1:
+    /// P1^2 = loss^2 + ripple^2, but it has a sign and no cusp at the healthy point (assumed useful, not
+    /// in the paper).
+    SpeedLoss,
+    /// Time from the step to half the no-load speed, Vs/(4 ke) [s] (not in the paper).
+    Rise,
+    /// Root mean square of the phase currents in P1's window [A] (not in the paper).
+    CurrentRms,
 }
 
 impl Feature {
-    pub const ALL: [Feature; 4] = [Feature::P1, Feature::P2, Feature::P3, Feature::Ripple];
+    pub const ALL: [Feature; 7] = [
+        Feature::P1,
+        Feature::P2,
+        Feature::P3,
+        Feature::Ripple,
+        Feature::SpeedLoss,
+        Feature::Rise,
+        Feature::CurrentRms,
+    ];
 
     /// Short name in files and reports.
     pub fn name(self) -> &'static str {
@@ -24,13 +40,29 @@ impl Feature {
             Feature::P2 => "p2",
             Feature::P3 => "p3",
             Feature::Ripple => "ripple",
+            Feature::SpeedLoss => "speed_loss",
+            Feature::Rise => "rise",
+            Feature::CurrentRms => "current_rms",
+        }
+    }
+    /// Column and JSON key: the name with the unit.
+    pub fn key(self) -> &'static str {
+        match self {
+            Feature::P1 => "p1_rad_per_s",
+            Feature::P2 => "p2_a",
+            Feature::P3 => "p3",
+            Feature::Ripple => "ripple_rad_per_s",
+            Feature::SpeedLoss => "speed_loss_rad_per_s",
+            Feature::Rise => "rise_s",
+            Feature::CurrentRms => "current_rms_a",
         }
     }
     pub fn unit(self) -> &'static str {
         match self {
-            Feature::P1 | Feature::Ripple => "rad/s",
-            Feature::P2 => "A",
+            Feature::P1 | Feature::Ripple | Feature::SpeedLoss => "rad/s",
+            Feature::P2 | Feature::CurrentRms => "A",
             Feature::P3 => "-",
+            Feature::Rise => "s",
         }
     }
     pub fn title(self) -> &'static str {
@@ -39,6 +71,9 @@ impl Feature {
             Feature::P2 => "P2, current RMS error (sine)",
             Feature::P3 => "P3, starting error over nominal (ramp)",
             Feature::Ripple => "speed ripple (step)",
+            Feature::SpeedLoss => "loss of mean speed (step)",
+            Feature::Rise => "rise time to half the no-load speed (step)",
+            Feature::CurrentRms => "RMS phase current (step)",
         }
     }
     pub fn from_name(name: &str) -> Option<Self> {
@@ -64,8 +99,60 @@ pub struct RawFeatures {
     pub p2_a: Option<f64>,
     /// command at break-away in the ramp [rad]
     pub p3_rad: Option<f64>,
+    /// time from the step to half the no-load speed [s]
+    pub rise_s: Option<f64>,
+    /// root mean square of the phase currents in the regime window [A]
+    pub current_rms_a: Option<f64>,
     /// motor angle at the first sample, modulo one turn [rad]
     pub rest_angle_rad: Option<f64>,
+}
+
+impl RawFeatures {
+    /// Columns of what is measured, without the rest angle.
+    pub const COLUMNS: [&str; 6] = [
+        "mean_speed_rad_per_s",
+        "ripple_rad_per_s",
+        "p2_a",
+        "p3_rad",
+        "rise_s",
+        "current_rms_a",
+    ];
+
+    /// Columns of their standard deviations.
+    pub const DEVIATIONS: [&str; 6] = [
+        "mean_speed_sd_rad_per_s",
+        "ripple_sd_rad_per_s",
+        "p2_sd_a",
+        "p3_sd_rad",
+        "rise_sd_s",
+        "current_rms_sd_a",
+    ];
+
+    /// Values in the order of [`RawFeatures::COLUMNS`].
+    pub fn values(&self) -> [Option<f64>; 6] {
+        [
+            self.mean_speed_rad_per_s,
+            self.ripple_rad_per_s,
+            self.p2_a,
+            self.p3_rad,
+            self.rise_s,
+            self.current_rms_a,
+        ]
+    }
+
+    /// From values in the order of [`RawFeatures::COLUMNS`].
+    pub fn from_values(values: [Option<f64>; 6], rest_angle_rad: Option<f64>) -> Self {
+        let [mean_speed_rad_per_s, ripple_rad_per_s, p2_a, p3_rad, rise_s, current_rms_a] = values;
+        Self {
+            mean_speed_rad_per_s,
+            ripple_rad_per_s,
+            p2_a,
+            p3_rad,
+            rise_s,
+            current_rms_a,
+            rest_angle_rad,
+        }
+    }
 }
 
 /// Features as failure maps hold them, over the nominal run of the same maps.
@@ -76,6 +163,9 @@ pub struct Features {
     pub p3: Option<f64>,
     pub p3_rad: Option<f64>,
     pub ripple_rad_per_s: Option<f64>,
+    pub speed_loss_rad_per_s: Option<f64>,
+    pub rise_s: Option<f64>,
+    pub current_rms_a: Option<f64>,
 }
 
 impl Features {
@@ -95,12 +185,19 @@ impl Features {
             (Some(p), Some(p0)) => Some(p / p0),
             _ => None,
         };
+        let speed_loss = match (raw.mean_speed_rad_per_s, nominal.mean_speed_rad_per_s) {
+            (Some(m), Some(m0)) => Some(m0 - m),
+            _ => None,
+        };
         Self {
             p1_rad_per_s: p1,
             p2_a: raw.p2_a,
             p3,
             p3_rad: raw.p3_rad,
             ripple_rad_per_s: raw.ripple_rad_per_s,
+            speed_loss_rad_per_s: speed_loss,
+            rise_s: raw.rise_s,
+            current_rms_a: raw.current_rms_a,
         }
     }
 
@@ -110,6 +207,9 @@ impl Features {
             Feature::P2 => self.p2_a,
             Feature::P3 => self.p3,
             Feature::Ripple => self.ripple_rad_per_s,
+            Feature::SpeedLoss => self.speed_loss_rad_per_s,
+            Feature::Rise => self.rise_s,
+            Feature::CurrentRms => self.current_rms_a,
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Sequences, grids and sensors by name (built in) or by file.
 
 use crate::sensor::SensorModel;
+use crate::spread::Spread;
 use schemas::error::{Error, Result};
 use schemas::fault::FaultGrid;
 use schemas::sequence::TestSequence;
@@ -15,6 +16,7 @@ macro_rules! built_in {
 
 const SEQUENCES: &[(&str, &str)] = built_in!("sequences": "preflight", "ramp", "sine", "step", "chirp", "multisine");
 const GRIDS: &[(&str, &str)] = built_in!("grids": "standard", "fine", "coarse");
+const SPREADS: &[(&str, &str)] = built_in!("spreads": "fleet");
 const SENSORS: &[(&str, &str)] = built_in!("sensors": "reference");
 
 fn section(kind: &str, known: &[(&str, &str)], name: &str) -> Result<Section> {
@@ -67,4 +69,12 @@ pub fn sensors(name: &str) -> Result<Option<SensorModel>> {
         return Ok(None);
     }
     SensorModel::from_section(section("sensors", SENSORS, name)?).map(Some)
+}
+
+/// A built-in spread, one from a `.toml` file, or `none`.
+pub fn spread(name: &str) -> Result<Spread> {
+    if name == "none" {
+        return Ok(Spread::none());
+    }
+    Spread::from_section(section("spreads", SPREADS, name)?)
 }

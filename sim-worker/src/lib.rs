@@ -10,6 +10,7 @@ pub mod parameters;
 pub mod plant;
 pub mod sensor;
 pub mod simulate;
+pub mod spread;
 pub mod test_bench;
 pub mod trig;
 pub mod worker;

@@ -2,6 +2,7 @@
 
 pub mod blind;
 pub mod campaign;
+pub mod coverage;
 pub mod soak;
 pub mod stream;
 

@@ -1,11 +1,12 @@
 //! The maps of one actuator, saved and loaded together.
 
-use super::{BandBudget, FailureMap};
+use super::{MapBudget, FailureMap};
 use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Float64Type, Schema};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use schemas::error::{Error, Result};
 use schemas::feature::{Feature, Features, RawFeatures};
+use schemas::fingerprint::{exact, fingerprint};
 use schemas::recording::{Provenance, write_table};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -48,14 +49,21 @@ pub struct FailureMapSet {
 #[derive(Serialize, Deserialize)]
 struct Stored {
     header: MapSetHeader,
-    nominal: [Option<f64>; 4],
-    budgets: BTreeMap<String, BandBudget>,
+    nominal: [Option<f64>; 6],
+    budgets: BTreeMap<String, MapBudget>,
 }
 
 impl FailureMapSet {
     /// Features of a run over this set's nominal run.
     pub fn features(&self, raw: &RawFeatures) -> Features {
         Features::over(raw, &self.nominal)
+    }
+
+    /// Of what the maps are for and of every value.
+    pub fn fingerprint(&self) -> String {
+        let header = serde_json::to_string(&self.header).expect("plain data");
+        let values = self.maps.iter().flat_map(|m| &m.raw).map(|x| exact(*x));
+        fingerprint(&format!("maps;{header};{}", values.collect::<Vec<_>>().join(",")))
     }
 
     pub fn map(&self, feature: Feature) -> Option<&FailureMap> {
@@ -100,10 +108,9 @@ impl FailureMapSet {
             commit: h.commit.clone(),
             model: "ntb".into(),
         };
-        let n = &self.nominal;
         let stored = Stored {
             header: h.clone(),
-            nominal: [n.mean_speed_rad_per_s, n.ripple_rad_per_s, n.p2_a, n.p3_rad],
+            nominal: self.nominal.values(),
             budgets: self
                 .maps
                 .iter()
@@ -158,7 +165,7 @@ impl FailureMapSet {
             );
             for i in 0..batch.num_rows() {
                 let feature = Feature::from_name(names.value(i))
-                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), "p1, p2, p3, ripple"))?;
+                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), Feature::ALL.map(Feature::name).join(", ")))?;
                 rows.entry(feature)
                     .or_default()
                     .push([f.value(i), z.value(i), v.value(i), r.value(i)]);
@@ -195,15 +202,7 @@ impl FailureMapSet {
         if maps.len() < 2 {
             return Err(Error::bad(&file, "maps", maps.len(), "at least two maps"));
         }
-        let [mean_speed_rad_per_s, ripple_rad_per_s, p2_a, p3_rad] = stored.nominal;
-        let rest_angle_rad = Some(stored.header.rest_angle_rad);
-        let nominal = RawFeatures {
-            mean_speed_rad_per_s,
-            ripple_rad_per_s,
-            p2_a,
-            p3_rad,
-            rest_angle_rad,
-        };
+        let nominal = RawFeatures::from_values(stored.nominal, Some(stored.header.rest_angle_rad));
         Ok(Self {
             header: stored.header,
             nominal,

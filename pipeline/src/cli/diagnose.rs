@@ -7,6 +7,7 @@ use crate::report_pages;
 use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::Outcome;
+use diagnoser::map_library::Choice;
 use schemas::error::EXIT_LOSS;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -29,6 +30,17 @@ pub struct DiagnoseArgs {
     /// Grid of maps made on first use
     #[arg(long, default_value = "fine")]
     grid: String,
+    /// Spread from unit to unit that the intervals allow for: none (the recording is of the very actuator
+    /// of the maps), fleet (all values assumed), or a TOML file
+    #[arg(long, default_value = "none")]
+    spread: String,
+    /// What is known of the unit, KEY=NUMBER, of supply_voltage_v, winding_temperature_degc,
+    /// phase_resistance_ohm, back_emf_v_s_per_rad, inertia_kg_m2, dynamic_ratio, rest_angle_rad; it narrows a spread
+    #[arg(long, value_name = "KEY=NUMBER", value_delimiter = ',')]
+    known: Vec<String>,
+    /// Share of tests whose true pair the intervals hold
+    #[arg(long, default_value_t = diagnoser::calibration::COVERAGE)]
+    coverage: f64,
     /// Also draw maps, cuts and the located area into this folder
     #[arg(long)]
     plot: Option<PathBuf>,
@@ -69,6 +81,11 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         sequence: a.recording.sequence.clone(),
         sensors: a.recording.sensors.clone(),
         grid: sim_worker::datasets::grid(&a.grid)?,
+        choice: Choice {
+            spread: sim_worker::datasets::spread(&a.spread)?,
+            coverage: a.coverage,
+        },
+        known: a.known.clone(),
     };
     let case = case::run(&a.file, &settings)?;
     // what no pair of faults explains is something that the model does not have
@@ -89,7 +106,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     }
     if let Some(dir) = &a.plot {
         let d = &case.diagnosis;
-        let figures = report_pages::case_figures("diagnosis", &case.maps, d, None);
+        let figures = report_pages::case_figures("diagnosis", &case.diagnoser, d, None);
         let section = Section {
             title: "Diagnosis".into(),
             text: case::to_text(&case),

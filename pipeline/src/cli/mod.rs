@@ -1,5 +1,6 @@
 //! The command line of `ema`.
 
+mod calibrate;
 mod diagnose;
 mod discrepancy;
 mod plot;
@@ -39,6 +40,12 @@ enum Commands {
     /// Build the failure maps of a dataset
     #[command(after_help = "Example: ema maps dataset    (writes dataset/maps.parquet)")]
     Maps(simulate::MapsArgs),
+    /// Calibrate the bands of maps: how far intervals must reach to hold the stated share of true pairs
+    #[command(
+        after_help = "Example: ema calibrate dataset --spread fleet    (writes dataset/calibration-fleet.json; then\n         \
+        ema diagnose run.csv --maps dataset --spread fleet)"
+    )]
+    Calibrate(calibrate::CalibrateArgs),
     /// Diagnose a recorded test: intervals of both faults
     #[command(
         after_help = "Example: ema diagnose run.csv --json    (maps of the reference actuator, made on first use)"
@@ -171,6 +178,7 @@ pub fn main() -> ExitCode {
         Commands::Run(a) => run::run(&a),
         Commands::Simulate(a) => simulate::simulate(&a),
         Commands::Maps(a) => simulate::maps(&a),
+        Commands::Calibrate(a) => calibrate::calibrate(&a),
         Commands::Diagnose(a) => diagnose::diagnose(&a),
         Commands::Live(a) => stream::live(&a),
         Commands::Replay(a) => stream::replay(&a),

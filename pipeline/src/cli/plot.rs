@@ -51,7 +51,7 @@ pub fn plot(a: &PlotArgs) -> Result<ExitCode> {
                 maps.clone()
             };
             for m in &FailureMapSet::load(&file)?.maps {
-                let plot = report_pages::map_plot(m, None, None);
+                let plot = report_pages::map_plot(m, None);
                 figures.push((format!("map_{}", m.feature.name()), Figure::Map(plot)));
             }
             out

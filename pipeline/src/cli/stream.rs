@@ -11,7 +11,8 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::cli::{DomainArg, LiveArgs};
 use diagnoser::live::Known;
-use diagnoser::map_library::{MapKey, MapLibrary};
+use diagnoser::diagnosis::Diagnoser;
+use diagnoser::map_library::{Choice, MapKey, MapLibrary};
 use diagnoser::receive::{MapSource, no_maps};
 use rand::{RngExt, SeedableRng};
 use schemas::channel::ChannelSet;
@@ -38,15 +39,19 @@ pub struct LiveCommand {
 pub fn live(a: &LiveCommand) -> Result<ExitCode> {
     let (known, models) = a.live.known()?;
     let grid = sim_worker::datasets::grid(&a.grid)?;
+    let choice = a.live.choice()?;
     let source: MapSource = if a.live.maps.is_empty() {
         // the live view owns the terminal
         crate::progress::be_quiet();
         let known = known.clone();
-        Box::new(move |key| make_maps(key, &known, &models, &grid))
+        Box::new(move |key| make_maps(key, &known, &models, &grid, &choice))
     } else {
         let library = MapLibrary::open(&a.live.maps)?;
         let hint = "leave out --maps to have them made, or make them with `ema maps`";
-        Box::new(move |key| library.find(key).ok_or_else(|| no_maps(key, hint)))
+        Box::new(move |key| match library.diagnoser(key, &choice) {
+            Some(found) => found.map_err(|e| e.to_string()),
+            None => Err(no_maps(key, hint)),
+        })
     };
     let stop: Arc<AtomicBool> = crate::progress::interrupt_flag();
     Ok(ExitCode::from(a.live.run(known, source, &stop)?))
@@ -58,7 +63,8 @@ fn make_maps(
     known: &Known,
     models: &[SensorModel],
     grid: &FaultGrid,
-) -> Result<diagnoser::failure_map::FailureMapSet, String> {
+    choice: &Choice,
+) -> Result<Diagnoser, String> {
     let actuator = known.actuators.iter().find(|a| a.fingerprint() == key.parameters);
     let sequence = known.sequences.iter().find(|s| s.fingerprint() == key.sequence);
     let (Some(actuator), Some(sequence)) = (actuator, sequence) else {
@@ -73,7 +79,7 @@ fn make_maps(
         equivalent_current: key.equivalent_current,
         grid: grid.clone(),
     };
-    maps::cached(&request).map_err(|e| format!("{e:#}"))
+    maps::cached(&request, choice, &Vec::new()).map_err(|e| format!("{e:#}"))
 }
 
 #[derive(Args)]
@@ -143,6 +149,8 @@ pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
             sequence: a.recording.sequence.clone(),
             sensors: a.recording.sensors.clone(),
             grid: sim_worker::datasets::grid("fine")?,
+            choice: Choice::usual(),
+            known: Vec::new(),
         },
         id: a.id.clone(),
         first_run: a.run,

@@ -17,7 +17,8 @@ wire! {
         outcome: u32,
         /// 1: the last word on the stream; 0: so far
         is_final: u32,
-        /// bit `n`: the map of feature number `n` (p1, p2, p3, ripple) contradicts the others
+        /// bit `n`: the map of feature number `n` (p1, p2, p3, ripple, speed_loss, rise, current_rms)
+        /// contradicts the others
         contradicting: u32,
         actuator: [u8; 32],
         parameters: u64,

@@ -1,0 +1,431 @@
+//! The fault pair that fits best, and the set of those that fit nearly as well.
+
+use crate::calibration::Calibration;
+use crate::diagnosis::Known;
+use crate::failure_map::{FailureMap, FailureMapSet};
+use crate::paving::{Joint, Lattice, Limits};
+use crate::uncertainty::{MOST, PreparedSurfaces, ResponseSurfaces, Row};
+use schemas::feature::Feature;
+
+/// Lattice lines between two lines of the grid: what is bilinear between them departs from the monotone
+/// cubic by a sixteenth of what it would on the grid itself.
+const BETWEEN: usize = 4;
+
+/// Share of the range by which maps go on straight beyond their ends: to see on which side faults lie.
+const BEYOND: f64 = 0.25;
+
+/// Pairs along each axis from which the best one is looked for.
+const STARTS: usize = 13;
+
+/// Further starts where the best one ends in a misfit.
+const AGAIN: usize = 6;
+
+const MOST_STEPS: usize = 30;
+
+/// Smallest uncertainty as a share of a map's range, so that nothing is divided by zero.
+const FLOOR: f64 = 1e-7;
+
+/// The fault pair that fits best.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    pub fsj: f64,
+    pub zeta: f64,
+    /// squared residual in standard uncertainties
+    pub misfit: f64,
+    /// whitening: lower triangle, the inverse of the covariance's Cholesky factor; rows of missing
+    /// features are zero
+    whitening: [Row; MOST],
+    /// what is known of the unit moves the features by this
+    shift: Row,
+}
+
+/// A pair from which the search may start.
+#[derive(Clone, Debug)]
+struct Start {
+    fsj: f64,
+    zeta: f64,
+    value: Row,
+    /// one over variances: of the feature, and of what it changes on the way to the next start
+    weight: Row,
+}
+
+/// Maps and covariances of one actuator, made ready.
+#[derive(Clone, Debug)]
+pub struct Estimator {
+    features: Vec<Feature>,
+    lattice: Lattice,
+    /// variance of each feature on the lattice's nodes without common causes
+    variances: Vec<Row>,
+    /// common causes that are not known: slopes for one standard deviation
+    causes: Option<PreparedSurfaces>,
+    /// those that are known: slopes for their deviation
+    known: Option<PreparedSurfaces>,
+    limits: Limits,
+    starts: Vec<Start>,
+}
+
+impl Estimator {
+    pub fn new(set: &FailureMapSet, calibration: Option<&Calibration>, known: &Known) -> Self {
+        let has = |f: Feature| set.map(f).is_some();
+        let parts = has(Feature::SpeedLoss) && has(Feature::Ripple);
+        let maps: Vec<&FailureMap> = set
+            .maps
+            .iter()
+            .filter(|m| !(parts && m.feature == Feature::P1))
+            .take(MOST)
+            .collect();
+        let features: Vec<Feature> = maps.iter().map(|m| m.feature).collect();
+        let first = maps[0];
+        let ends = |x: &[f64]| (x[0], x[x.len() - 1]);
+        let limits = Limits {
+            f: ends(&first.fsj),
+            z: ends(&first.zeta),
+        };
+        let wide: Vec<FailureMap> = maps.iter().map(|m| m.extended(BEYOND)).collect();
+        let (fsj, zeta) = (finer(&wide[0].fsj), finer(&wide[0].zeta));
+        let mut nodes = vec![[0.0; MOST]; fsj.len() * zeta.len()];
+        let mut variances = vec![[1.0; MOST]; nodes.len()];
+        let surfaces: Option<&ResponseSurfaces> = calibration.and_then(|c| c.surfaces.as_ref());
+        for (k, m) in wide.iter().enumerate() {
+            let (lo, hi) = m.range();
+            let left = surfaces
+                .and_then(|s| s.remainder.get(m.feature.name()))
+                .map_or(0.0, |x| x * x);
+            let least = (FLOOR * (hi - lo)).powi(2);
+            for (r, &z) in zeta.iter().enumerate() {
+                let curve = m.curve(z);
+                for (c, &f) in fsj.iter().enumerate() {
+                    let i = r * fsj.len() + c;
+                    nodes[i][k] = m.on_curve(&curve, f);
+                    variances[i][k] = m.uncertainty(f, z).powi(2) + left + least;
+                }
+            }
+        }
+        let mut directions = [(1.0, 1.0); MOST];
+        directions.iter_mut().zip(&maps).for_each(|(d, m)| *d = m.direction);
+        let lattice = Lattice::new(fsj, zeta, nodes, directions).expect("maps have rising axes and finite values");
+        let (causes, known) = match (calibration, surfaces) {
+            (Some(c), Some(s)) => {
+                let unknown: Vec<_> = c
+                    .spread()
+                    .causes()
+                    .filter(|(c, _)| !known.iter().any(|(k, _)| k == c))
+                    // standard deviation of a uniform distribution
+                    .map(|(c, h)| (c, h / 3f64.sqrt()))
+                    .collect();
+                let prepared = |list: &[_]| (!list.is_empty()).then(|| s.prepared(&features, list));
+                (prepared(&unknown), prepared(known))
+            }
+            _ => (None, None),
+        };
+        let mut estimator = Self {
+            features,
+            lattice,
+            variances,
+            causes,
+            known,
+            limits,
+            starts: Vec::new(),
+        };
+        estimator.starts = estimator.make_starts();
+        estimator
+    }
+
+    fn make_starts(&self) -> Vec<Start> {
+        let Limits { f, z } = self.limits;
+        let along = |(lo, hi): (f64, f64), k: usize| lo + (hi - lo) * k as f64 / (STARTS - 1) as f64;
+        let (df, dz) = (along(f, 1) - f.0, along(z, 1) - z.0);
+        let start = |i: usize| {
+            let (fsj, zeta) = (along(f, i % STARTS), along(z, i / STARTS));
+            let (mut value, by_f, by_z) = self.lattice.with_slopes(fsj, zeta);
+            let variance = self.variance(fsj, zeta);
+            if let Some(s) = self.known_shift(fsj, zeta) {
+                value.iter_mut().zip(s).for_each(|(v, s)| *v += s);
+            }
+            let mut weight = [0.0; MOST];
+            for k in 0..self.features.len() {
+                let way = (0.5 * df * by_f[k]).powi(2) + (0.5 * dz * by_z[k]).powi(2);
+                weight[k] = 1.0 / (variance[k] + self.common_variance(k, fsj, zeta) + way);
+            }
+            Start {
+                fsj,
+                zeta,
+                value,
+                weight,
+            }
+        };
+        (0..STARTS * STARTS).map(start).collect()
+    }
+
+    pub fn features(&self) -> &[Feature] {
+        &self.features
+    }
+
+    pub fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
+    /// The fault range of the maps.
+    pub fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    /// FSJ above the middle + 2 x zeta above the middle.
+    pub fn quadrant(&self, fsj: f64, zeta: f64) -> usize {
+        let upper = |x: f64, (lo, hi): (f64, f64)| usize::from(x > 0.5 * (lo + hi));
+        upper(fsj, self.limits.f) + 2 * upper(zeta, self.limits.z)
+    }
+
+    fn variance(&self, fsj: f64, zeta: f64) -> Row {
+        self.lattice.blend(&self.variances, fsj, zeta)
+    }
+
+    fn common_variance(&self, k: usize, fsj: f64, zeta: f64) -> f64 {
+        let causes = self.causes.iter().flat_map(|c| c.at(fsj, zeta));
+        causes.map(|c| c[k] * c[k]).sum()
+    }
+
+    fn known_shift(&self, fsj: f64, zeta: f64) -> Option<Row> {
+        let mut sum = [0.0; MOST];
+        for row in self.known.as_ref()?.at(fsj, zeta) {
+            sum.iter_mut().zip(row).for_each(|(s, x)| *s += x);
+        }
+        Some(sum)
+    }
+
+    /// Standard uncertainty of a feature at a fault pair, common causes included.
+    pub fn uncertainty(&self, feature: Feature, fsj: f64, zeta: f64) -> Option<f64> {
+        let k = self.features.iter().position(|&f| f == feature)?;
+        Some((self.variance(fsj, zeta)[k] + self.common_variance(k, fsj, zeta)).sqrt())
+    }
+
+    /// The inverse of the Cholesky factor of the covariance at a fault pair, of the features that are
+    /// there.
+    fn whitening(&self, values: &Row, fsj: f64, zeta: f64) -> [Row; MOST] {
+        let n = self.features.len();
+        let mut c = [[0.0; MOST]; MOST];
+        let variance = self.variance(fsj, zeta);
+        (0..n).for_each(|k| c[k][k] = variance[k]);
+        for s in self.causes.iter().flat_map(|p| p.at(fsj, zeta)) {
+            for i in 0..n {
+                for j in 0..=i {
+                    c[i][j] += s[i] * s[j];
+                }
+            }
+        }
+        let mut w = [[0.0; MOST]; MOST];
+        // factor and its inverse row by row, passing over what is missing
+        let mut l = [[0.0; MOST]; MOST];
+        for i in (0..n).filter(|&i| values[i].is_finite()) {
+            for j in (0..=i).filter(|&j| values[j].is_finite()) {
+                let mut sum = c[i][j];
+                for k in 0..j {
+                    sum -= l[i][k] * l[j][k];
+                }
+                // the variances on the diagonal are there to keep it positive
+                l[i][j] = if i == j { sum.max(1e-300).sqrt() } else { sum / l[j][j] };
+            }
+            w[i][i] = 1.0 / l[i][i];
+            for j in 0..i {
+                let mut sum = 0.0;
+                for k in j..i {
+                    sum -= l[i][k] * w[k][j];
+                }
+                w[i][j] = sum * w[i][i];
+            }
+        }
+        w
+    }
+
+    /// The pair with the smallest misfit, over the maps and a little beyond. The misfit of the pair
+    /// returned may not be the smallest of all where it is below `good` already.
+    pub fn best(&self, values: &Row, good: f64) -> Option<Estimate> {
+        let here = values.iter().filter(|v| v.is_finite()).count();
+        if here < 2 {
+            return None;
+        }
+        let distance = |s: &Start| {
+            let terms = values.iter().zip(&s.value).zip(&s.weight);
+            terms
+                .map(|((v, m), w)| if v.is_finite() { (v - m) * (v - m) * w } else { 0.0 })
+                .sum::<f64>()
+        };
+        let mut left: Vec<(f64, usize)> = self.starts.iter().map(distance).zip(0..).collect();
+        let mut best: Option<Estimate> = None;
+        for _ in 0..AGAIN {
+            let Some((k, &(_, start))) = left.iter().enumerate().min_by(|a, b| a.1.0.total_cmp(&b.1.0)) else {
+                break;
+            };
+            left.swap_remove(k);
+            let start = &self.starts[start];
+            let found = self.descend(values, start.fsj, start.zeta);
+            if best.as_ref().is_none_or(|b| found.misfit < b.misfit) {
+                best = Some(found);
+            }
+            if best.as_ref().is_some_and(|b| b.misfit <= good) {
+                break;
+            }
+            // the next one from elsewhere
+            let near = |s: &Start| {
+                let step = |(lo, hi): (f64, f64)| 2.5 * (hi - lo) / (STARTS - 1) as f64;
+                (s.fsj - start.fsj).abs() < step(self.limits.f) && (s.zeta - start.zeta).abs() < step(self.limits.z)
+            };
+            left.retain(|&(_, k)| !near(&self.starts[k]));
+        }
+        best
+    }
+
+    /// Gauss-Newton steps from a pair, the covariance following for the first few.
+    fn descend(&self, values: &Row, mut fsj: f64, mut zeta: f64) -> Estimate {
+        let (f_range, z_range) = self.lattice.range();
+        let mut e = self.at(values, fsj, zeta);
+        let mut damping = 0.0;
+        for step in 0..MOST_STEPS {
+            let (_, by_f, by_z) = self.lattice.with_slopes(fsj, zeta);
+            let z = self.residual(values, &e, fsj, zeta);
+            let (a, b) = (apply(&e.whitening, &by_f), apply(&e.whitening, &by_z));
+            let dot = |x: &Row, y: &Row| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+            let (aa, ab, bb) = (dot(&a, &a), dot(&a, &b), dot(&b, &b));
+            let (ga, gb) = (dot(&a, &z), dot(&b, &z));
+            let (haa, hbb) = (aa * (1.0 + damping) + 1e-12, bb * (1.0 + damping) + 1e-12);
+            let det = haa * hbb - ab * ab;
+            if det.is_nan() || det <= 0.0 {
+                break;
+            }
+            let (mut df, mut dz) = ((hbb * ga - ab * gb) / det, (haa * gb - ab * ga) / det);
+            // at an edge the other fault moves alone
+            if (fsj + df).clamp(f_range.0, f_range.1) == fsj {
+                (df, dz) = (0.0, gb / hbb);
+            } else if (zeta + dz).clamp(z_range.0, z_range.1) == zeta {
+                (df, dz) = (ga / haa, 0.0);
+            }
+            let to = (
+                (fsj + df).clamp(f_range.0, f_range.1),
+                (zeta + dz).clamp(z_range.0, z_range.1),
+            );
+            let moved = ((to.0 - fsj) / (f_range.1 - f_range.0)).abs() + ((to.1 - zeta) / (z_range.1 - z_range.0)).abs();
+            let z_new = self.residual(values, &e, to.0, to.1);
+            let new = dot(&z_new, &z_new);
+            if new <= e.misfit {
+                (fsj, zeta) = to;
+                damping *= 0.2;
+                if step < 6 && moved > 1e-4 {
+                    e = self.at(values, fsj, zeta);
+                } else {
+                    (e.fsj, e.zeta, e.misfit) = (fsj, zeta, new);
+                }
+                if moved < 1e-8 {
+                    break;
+                }
+            } else {
+                if moved < 1e-8 {
+                    break;
+                }
+                damping = (4.0 * damping).max(0.1);
+            }
+        }
+        // the covariance of the place that was found, and what it thinks of it
+        self.at(values, fsj, zeta)
+    }
+
+    /// A pair with its covariance.
+    fn at(&self, values: &Row, fsj: f64, zeta: f64) -> Estimate {
+        let mut e = Estimate {
+            fsj,
+            zeta,
+            misfit: 0.0,
+            whitening: self.whitening(values, fsj, zeta),
+            shift: self.known_shift(fsj, zeta).unwrap_or([0.0; MOST]),
+        };
+        let z = self.residual(values, &e, fsj, zeta);
+        e.misfit = z.iter().map(|z| z * z).sum();
+        e
+    }
+
+    /// Whitened residual at a pair with the covariance of an estimate.
+    fn residual(&self, values: &Row, e: &Estimate, fsj: f64, zeta: f64) -> Row {
+        self.whitened(values, e, &self.lattice.at(fsj, zeta))
+    }
+
+    fn whitened(&self, values: &Row, e: &Estimate, maps: &Row) -> Row {
+        let mut r = [0.0; MOST];
+        for k in 0..self.features.len() {
+            if values[k].is_finite() {
+                r[k] = values[k] - e.shift[k] - maps[k];
+            }
+        }
+        apply(&e.whitening, &r)
+    }
+
+    /// The set of pairs whose misfit is at most `reach^2` above that of the best pair, within the maps.
+    pub fn set(&self, values: &Row, best: &Estimate, reach: f64) -> (Joint, Limits) {
+        let threshold = best.misfit + reach * reach;
+        let offset = self.whitened(values, best, &[0.0; MOST]);
+        let joint = Joint {
+            w: best.whitening,
+            offset,
+            threshold,
+        };
+        (joint, self.limits)
+    }
+
+    /// The smallest misfit, with the covariance of `best`, on the line of one fault through a pair and on
+    /// that of the other; the greater of the two.
+    pub fn profile(&self, values: &Row, best: &Estimate, fsj: f64, zeta: f64) -> f64 {
+        let Limits { f, z } = self.limits;
+        let along = |lines: &[f64], (lo, hi): (f64, f64), pair: &dyn Fn(f64) -> (f64, f64)| {
+            let inner = lines.iter().copied().filter(|x| lo < *x && *x < hi);
+            let stops = std::iter::once(lo).chain(inner).chain(std::iter::once(hi));
+            let residuals = stops.map(|x| {
+                let (f, z) = pair(x);
+                self.residual(values, best, f, z)
+            });
+            let mut least = f64::INFINITY;
+            let mut last: Option<Row> = None;
+            for b in residuals {
+                if let Some(a) = last {
+                    least = least.min(nearest(&a, &b));
+                }
+                last = Some(b);
+            }
+            least
+        };
+        // between two lines of the lattice the residual changes straight
+        let at_fsj = along(&self.lattice.zeta, z, &|x| (fsj, x));
+        let at_zeta = along(&self.lattice.fsj, f, &|x| (x, zeta));
+        at_fsj.max(at_zeta)
+    }
+}
+
+/// Smallest square of what lies straight between two vectors.
+fn nearest(a: &Row, b: &Row) -> f64 {
+    let (mut aa, mut ad, mut dd) = (0.0, 0.0, 0.0);
+    for (a, b) in a.iter().zip(b) {
+        let d = b - a;
+        aa += a * a;
+        ad += a * d;
+        dd += d * d;
+    }
+    let t = if dd > 0.0 { (-ad / dd).clamp(0.0, 1.0) } else { 0.0 };
+    aa + t * (2.0 * ad + t * dd)
+}
+
+/// Lower triangle times vector.
+fn apply(w: &[Row; MOST], r: &Row) -> Row {
+    let mut out = [0.0; MOST];
+    for (o, row) in out.iter_mut().zip(w) {
+        *o = row.iter().zip(r).map(|(w, r)| w * r).sum();
+    }
+    out
+}
+
+/// Lines of an axis and [`BETWEEN`] - 1 between each two of them.
+fn finer(axis: &[f64]) -> Vec<f64> {
+    let between = |w: &[f64]| {
+        let (a, b) = (w[0], w[1]);
+        (0..BETWEEN).map(move |k| a + (b - a) * k as f64 / BETWEEN as f64)
+    };
+    let mut lines: Vec<f64> = axis.windows(2).flat_map(between).collect();
+    lines.extend(axis.last());
+    lines
+}

@@ -1,0 +1,282 @@
+//! The campaign behind calibrated bands: simulated tests of random units with random faults, none of
+//! which the maps are made of.
+
+use crate::generate::COMMIT;
+use anyhow::Result;
+use diagnoser::calibration::{COVERAGE, Calibration, uncalibrated};
+use diagnoser::diagnosis::Diagnoser;
+use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
+use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
+use diagnoser::uncertainty::{ResponseSurfaces, Sample, Scale, deviations};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use schemas::error::Error;
+use schemas::fault::FaultState;
+use schemas::feature::RawFeatures;
+use schemas::sequence::TestSequence;
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::SensorModel;
+use sim_worker::simulate::{Experiment, LANES, Run, simulate};
+use sim_worker::spread::{Cause, Spread};
+use sim_worker::test_bench::Lane;
+use sim_worker::worker::Progress;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+/// What a campaign costs.
+#[derive(Clone, Copy, Debug)]
+pub struct Effort {
+    /// runs that the reach comes from
+    pub runs: usize,
+    /// further runs that the response to the unit's causes comes from; none without spread
+    pub surface_runs: usize,
+    pub seed: u64,
+}
+
+impl Effort {
+    /// What maps that are made on first use are calibrated with.
+    pub const QUICK: Self = Self {
+        runs: 512,
+        surface_runs: 768,
+        seed: 0,
+    };
+}
+
+/// How the tests that maps are for are made.
+#[derive(Clone, Debug)]
+pub struct TestKind {
+    pub actuator: Arc<ActuatorParameters>,
+    pub sequence: TestSequence,
+    pub sensors: Option<SensorModel>,
+    pub rate_hz: f64,
+    pub rest_angle_rad: f64,
+    pub load_n_m: f64,
+    pub equivalent_current: bool,
+}
+
+impl TestKind {
+    /// The kind that maps are for. Refuses actuator, sequence or sensors that are not theirs.
+    pub fn of(
+        file: &Path,
+        header: &MapSetHeader,
+        actuator: Arc<ActuatorParameters>,
+        sequence: TestSequence,
+        sensors: Option<SensorModel>,
+    ) -> Result<Self> {
+        let sensors_found = sensors.as_ref().map_or("none".into(), SensorModel::fingerprint);
+        let pairs = [
+            ("parameter fingerprint", &header.parameters, actuator.fingerprint(), "--actuator"),
+            ("sequence fingerprint", &header.sequence_fingerprint, sequence.fingerprint(), "--sequence"),
+            ("fingerprint of the sensors", &header.sensors, sensors_found, "--sensors"),
+        ];
+        for (place, found, wanted, option) in pairs {
+            if *found != wanted {
+                let allowed = format!("{wanted}; choose with {option}");
+                return Err(Error::bad(file.display().to_string(), place, found, allowed).into());
+            }
+        }
+        Ok(Self {
+            actuator,
+            sequence,
+            sensors,
+            rate_hz: header.rate_hz,
+            rest_angle_rad: header.rest_angle_rad,
+            load_n_m: header.load_n_m,
+            equivalent_current: header.equivalent_current,
+        })
+    }
+
+    pub fn plan(&self) -> FeaturePlan {
+        FeaturePlan::new(&self.actuator, &self.sequence, self.rate_hz, self.equivalent_current)
+    }
+}
+
+/// A simulated test of one unit.
+#[derive(Clone, Debug)]
+pub struct Unit {
+    pub fault: FaultState,
+    /// by [`Cause`], -1 to 1: share of the spread's half-width
+    pub draw: [f64; Cause::COUNT],
+    /// of the sensor noise
+    pub seed: u64,
+}
+
+/// Random units over a fault range.
+///
+/// * `seed` of the draws; noise seeds follow from it
+pub fn draw_units(fsj: (f64, f64), zeta: (f64, f64), spread: &Spread, n: usize, seed: u64) -> Vec<Unit> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let unit = |_| {
+        let fault = FaultState {
+            fsj: rng.random_range(fsj.0..fsj.1),
+            zeta: rng.random_range(zeta.0..zeta.1),
+        };
+        let draw = std::array::from_fn(|c| {
+            let x = rng.random_range(-1.0..1.0);
+            if spread.half_width[c] > 0.0 { x } else { 0.0 }
+        });
+        let seed = rng.random();
+        Unit { fault, draw, seed }
+    };
+    (0..n).map(unit).collect()
+}
+
+/// Features of each unit's test, as its sensors give them. `Ok(None)` where it was interrupted.
+pub fn measure(kind: &TestKind, spread: &Spread, units: &[Unit], title: &str) -> Result<Option<Vec<RawFeatures>>> {
+    let lanes = units.iter().map(|u| {
+        let (actuator, rest_angle_rad) = spread.unit(&kind.actuator, kind.rest_angle_rad, &u.draw);
+        let actuator = if spread.is_none() {
+            kind.actuator.clone()
+        } else {
+            Arc::new(actuator)
+        };
+        let lane = Lane {
+            actuator,
+            fault: u.fault,
+            rest_angle_rad,
+            load_n_m: kind.load_n_m,
+        };
+        (lane, u.seed)
+    });
+    simulate_features(kind, lanes.collect(), title)
+}
+
+/// Features of tests in the given lanes with the given noise seeds. `Ok(None)` where it was
+/// interrupted.
+pub fn simulate_features(kind: &TestKind, lanes: Vec<(Lane, u64)>, title: &str) -> Result<Option<Vec<RawFeatures>>> {
+    let plan = Arc::new(kind.plan());
+    let (sequence, sensors) = (kind.sequence.clone(), kind.sensors.clone());
+    let step = kind.actuator.step_s;
+    let experiment = Experiment::new(sequence, kind.rate_hz, plan.channels(), sensors, step)?;
+    let runs: Vec<Run> = lanes
+        .into_iter()
+        .zip(0..)
+        .map(|((lane, seed), number)| Run { number, lane, seed })
+        .collect();
+    let progress = Arc::new(Progress::default());
+    let total = runs.len() as u64;
+    let block = |runs: &[Run]| -> Result<Option<Vec<RawFeatures>>> {
+        let mut sinks = vec![FeatureExtractor::new(plan.clone()); runs.len()];
+        let go_on = || !progress.stop.load(Ordering::Relaxed);
+        if !go_on() || simulate(&experiment, runs, &mut sinks, go_on)?.is_none() {
+            return Ok(None);
+        }
+        progress.runs.fetch_add(runs.len() as u64, Ordering::Relaxed);
+        Ok(Some(sinks.iter().map(FeatureExtractor::features).collect()))
+    };
+    let work = || runs.par_chunks(LANES).map(block).collect::<Result<Vec<_>>>();
+    let blocks = crate::progress::with_bar(title, total, &progress, work)?;
+    Ok(blocks.into_iter().collect::<Option<Vec<_>>>().map(|b| b.concat()))
+}
+
+/// Simulated tests of random units, from which maps can be calibrated.
+#[derive(Clone, Debug)]
+pub struct Campaign {
+    pub spread: Spread,
+    pub effort: Effort,
+    /// tests that the response surfaces come from, and those that the reach comes from
+    pub surface: (Vec<Unit>, Vec<RawFeatures>),
+    pub scores: (Vec<Unit>, Vec<RawFeatures>),
+}
+
+impl Campaign {
+    /// Simulates it. `Ok(None)` where it was interrupted.
+    ///
+    /// * `fsj`, `zeta` range of the maps
+    pub fn run(
+        kind: &TestKind,
+        spread: &Spread,
+        effort: Effort,
+        fsj: (f64, f64),
+        zeta: (f64, f64),
+    ) -> Result<Option<Self>> {
+        // draws of the surfaces, of the scores and of tests by others never meet
+        let seeds = [0x5u64, 0xCu64].map(|kind| effort.seed.wrapping_mul(2).wrapping_add(kind << 56));
+        let n = if spread.is_none() { 0 } else { effort.surface_runs };
+        let mut parts = Vec::new();
+        for (n, seed, title) in [
+            (n, seeds[0], "response to the spread"),
+            (effort.runs, seeds[1], "calibration"),
+        ] {
+            let units = draw_units(fsj, zeta, spread, n, seed);
+            let Some(measured) = measure(kind, spread, &units, title)? else {
+                return Ok(None);
+            };
+            parts.push((units, measured));
+        }
+        let scores = parts.pop().expect("two parts");
+        Ok(Some(Self {
+            spread: spread.clone(),
+            effort,
+            surface: parts.pop().expect("two parts"),
+            scores,
+        }))
+    }
+
+    /// The calibration of maps from it.
+    pub fn calibrate(&self, set: &FailureMapSet) -> Result<Calibration> {
+        let mut calibration = Calibration {
+            spread: self.spread.name.clone(),
+            half_width: self.spread.half_width,
+            runs: self.scores.0.len(),
+            surface_runs: self.surface.0.len(),
+            seed: self.effort.seed,
+            maps: set.fingerprint(),
+            commit: COMMIT.into(),
+            scores: Default::default(),
+            misfits: vec![uncalibrated(COVERAGE).1],
+            surfaces: self.surfaces(set),
+        };
+        let diagnoser = Diagnoser::new(set.clone(), Some(calibration.clone()), COVERAGE, &Vec::new())?;
+        calibration.misfits.clear();
+        for (u, raw) in self.scores.0.iter().zip(&self.scores.1) {
+            let Some((best, score)) = diagnoser.score(&set.features(raw), u.fault.fsj, u.fault.zeta) else {
+                continue;
+            };
+            calibration.misfits.push(best.misfit);
+            calibration.scores[diagnoser.quadrant(best.fsj, best.zeta)].push(score);
+        }
+        calibration.misfits.sort_by(f64::total_cmp);
+        calibration.scores.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
+        Ok(calibration)
+    }
+
+    fn surfaces(&self, set: &FailureMapSet) -> Option<ResponseSurfaces> {
+        let bare = Diagnoser::uncalibrated(set.clone());
+        let sample = |(u, raw): (&Unit, &RawFeatures)| {
+            let features = set.features(raw);
+            let expected = bare.expected(u.fault.fsj, u.fault.zeta).into_iter();
+            let residual = expected.map(|(f, map, own)| features.get(f).map(|x| (f, x - map, own)));
+            Some(Sample {
+                fsj: u.fault.fsj,
+                zeta: u.fault.zeta,
+                deviations: deviations(&self.spread, &u.draw),
+                residual: residual.collect::<Option<Vec<_>>>()?,
+            })
+        };
+        let (fsj, zeta) = range(set);
+        let samples: Vec<Sample> = self.surface.0.iter().zip(&self.surface.1).filter_map(sample).collect();
+        (!samples.is_empty()).then(|| ResponseSurfaces::fit(Scale { fsj, zeta }, &samples))
+    }
+}
+
+/// FSJ and zeta that maps reach over.
+pub fn range(set: &FailureMapSet) -> ((f64, f64), (f64, f64)) {
+    let ends = |x: &[f64]| (x[0], x[x.len() - 1]);
+    let first = &set.maps[0];
+    (ends(&first.fsj), ends(&first.zeta))
+}
+
+/// Calibrates maps for a spread. `Ok(None)` where it was interrupted.
+pub fn calibrate(
+    set: &FailureMapSet,
+    kind: &TestKind,
+    spread: &Spread,
+    effort: Effort,
+) -> Result<Option<Calibration>> {
+    let (fsj, zeta) = range(set);
+    let campaign = Campaign::run(kind, spread, effort, fsj, zeta)?;
+    campaign.map(|c| c.calibrate(set)).transpose()
+}

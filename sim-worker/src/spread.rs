@@ -1,0 +1,220 @@
+//! How units of one type differ: half-widths of uniform distributions around the parameters.
+
+use crate::parameters::ActuatorParameters;
+use schemas::error::Result;
+use schemas::fingerprint::{exact, fingerprint};
+use schemas::toml_section::Section;
+
+/// Temperature coefficient of a copper winding's resistance, at 20 degC [1/K] (IEC 60228: 0.00393).
+const COPPER_PER_K: f64 = 0.003_93;
+
+/// Temperature coefficient of the flux of NdFeB magnets [1/K] (assumed; data sheets give -0.0009 to
+/// -0.0012).
+const MAGNET_PER_K: f64 = -0.001_1;
+
+/// Something in which one unit, or one test, differs from another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(usize)]
+pub enum Cause {
+    /// R
+    Resistance,
+    /// ke
+    BackEmf,
+    /// J
+    Inertia,
+    /// FDJ/FSJ
+    DynamicRatio,
+    /// Vs
+    Supply,
+    /// winding temperature: resistance (copper) and back-EMF (magnets) together
+    Temperature,
+    /// rotor angle at rest
+    RestAngle,
+}
+
+impl Cause {
+    pub const COUNT: usize = 7;
+    pub const ALL: [Cause; Self::COUNT] = [
+        Cause::Resistance,
+        Cause::BackEmf,
+        Cause::Inertia,
+        Cause::DynamicRatio,
+        Cause::Supply,
+        Cause::Temperature,
+        Cause::RestAngle,
+    ];
+
+    /// Key of its half-width in a spread's file.
+    pub fn key(self) -> &'static str {
+        match self {
+            Cause::Resistance => "phase_resistance_relative",
+            Cause::BackEmf => "back_emf_relative",
+            Cause::Inertia => "inertia_relative",
+            Cause::DynamicRatio => "dynamic_ratio_relative",
+            Cause::Supply => "supply_voltage_relative",
+            Cause::Temperature => "winding_temperature_k",
+            Cause::RestAngle => "rest_angle_rad",
+        }
+    }
+
+    /// Key by which a value of it that is known is given, in SI units.
+    pub fn known_key(self) -> &'static str {
+        match self {
+            Cause::Resistance => "phase_resistance_ohm",
+            Cause::BackEmf => "back_emf_v_s_per_rad",
+            Cause::Inertia => "inertia_kg_m2",
+            Cause::DynamicRatio => "dynamic_ratio",
+            Cause::Supply => "supply_voltage_v",
+            Cause::Temperature => "winding_temperature_degc",
+            Cause::RestAngle => "rest_angle_rad",
+        }
+    }
+
+    pub fn title(self) -> &'static str {
+        match self {
+            Cause::Resistance => "phase resistance",
+            Cause::BackEmf => "back-EMF coefficient",
+            Cause::Inertia => "inertia",
+            Cause::DynamicRatio => "dynamic over static friction",
+            Cause::Supply => "supply voltage",
+            Cause::Temperature => "winding temperature",
+            Cause::RestAngle => "rotor angle at rest",
+        }
+    }
+
+    /// How far a known value lies from the actuator's (and the maps' rest angle), in the unit of the
+    /// half-width: relative, K or rad.
+    pub fn deviation(self, actuator: &ActuatorParameters, rest_angle_rad: f64, known: f64) -> f64 {
+        let relative = |nominal: f64| known / nominal - 1.0;
+        match self {
+            Cause::Resistance => relative(actuator.phase_resistance_ohm),
+            Cause::BackEmf => relative(actuator.back_emf_v_s_per_rad),
+            Cause::Inertia => relative(actuator.inertia_kg_m2),
+            Cause::DynamicRatio => relative(actuator.dynamic_friction_ratio),
+            Cause::Supply => relative(actuator.supply_voltage_v),
+            Cause::Temperature => known - actuator.temperature_degc,
+            Cause::RestAngle => {
+                let turn = std::f64::consts::TAU;
+                (known - rest_angle_rad + 0.5 * turn).rem_euclid(turn) - 0.5 * turn
+            }
+        }
+    }
+
+    /// What it acts through: deviations of other causes for a deviation of one unit of this one.
+    pub fn acts_through(self) -> Vec<(Cause, f64)> {
+        match self {
+            Cause::Temperature => vec![(Cause::Resistance, COPPER_PER_K), (Cause::BackEmf, MAGNET_PER_K)],
+            cause => vec![(cause, 1.0)],
+        }
+    }
+}
+
+/// Half-widths of the uniform distributions of all causes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spread {
+    pub name: String,
+    /// by [`Cause`]: relative, K or rad
+    pub half_width: [f64; Cause::COUNT],
+}
+
+impl Spread {
+    /// Nothing differs.
+    pub fn none() -> Self {
+        Self {
+            name: "none".into(),
+            half_width: [0.0; Cause::COUNT],
+        }
+    }
+
+    pub fn from_section(mut s: Section) -> Result<Self> {
+        let name = s.text("name", "a text")?;
+        let mut half_width = [0.0; Cause::COUNT];
+        for (cause, h) in Cause::ALL.into_iter().zip(&mut half_width) {
+            *h = match cause {
+                Cause::Temperature => s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?,
+                Cause::RestAngle => s.number_or(cause.key(), 0.0, |x| (0.0..=0.1).contains(&x), "0 to 0.1 rad")?,
+                _ => s.number_or(cause.key(), 0.0, |x| (0.0..=0.5).contains(&x), "0 to 0.5")?,
+            };
+        }
+        s.finish()?;
+        Ok(Self { name, half_width })
+    }
+
+    pub fn is_none(&self) -> bool {
+        self.half_width.iter().all(|&h| h == 0.0)
+    }
+
+    /// Causes that have a half-width.
+    pub fn causes(&self) -> impl Iterator<Item = (Cause, f64)> {
+        let pairs = Cause::ALL.into_iter().zip(self.half_width);
+        pairs.filter(|(_, h)| *h > 0.0)
+    }
+
+    /// Of the half-widths, not of the name.
+    pub fn fingerprint(&self) -> String {
+        fingerprint(&format!("spread;{}", self.half_width.map(exact).join(",")))
+    }
+
+    /// A unit, and the rest angle of its test.
+    ///
+    /// * `draw` by [`Cause`], -1 to 1: share of the half-width
+    pub fn unit(
+        &self,
+        actuator: &ActuatorParameters,
+        rest_angle_rad: f64,
+        draw: &[f64; Cause::COUNT],
+    ) -> (ActuatorParameters, f64) {
+        let mut a = actuator.clone();
+        let mut rest = rest_angle_rad;
+        for (cause, h) in self.causes() {
+            for (through, per_unit) in cause.acts_through() {
+                let x = draw[cause as usize] * h * per_unit;
+                match through {
+                    Cause::Resistance => a.phase_resistance_ohm *= 1.0 + x,
+                    Cause::BackEmf => a.back_emf_v_s_per_rad *= 1.0 + x,
+                    Cause::Inertia => a.inertia_kg_m2 *= 1.0 + x,
+                    Cause::DynamicRatio => {
+                        a.dynamic_friction_ratio = (a.dynamic_friction_ratio * (1.0 + x)).min(1.0)
+                    }
+                    Cause::Supply => a.supply_voltage_v *= 1.0 + x,
+                    Cause::RestAngle => rest += x,
+                    Cause::Temperature => unreachable!("acts through others"),
+                }
+            }
+        }
+        (a, rest)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prop_units_keep_to_their_half_widths() {
+        let a = ActuatorParameters::reference();
+        let fleet = crate::datasets::spread("fleet").unwrap();
+        let (unit, rest) = fleet.unit(&a, 0.5, &[1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0]);
+        let near = |x: f64, y: f64| assert!((x / y - 1.0).abs() < 1e-12, "{x} {y}");
+        near(unit.phase_resistance_ohm, 1.05 * a.phase_resistance_ohm);
+        near(unit.back_emf_v_s_per_rad, 0.98 * a.back_emf_v_s_per_rad);
+        near(unit.inertia_kg_m2, 1.05 * a.inertia_kg_m2);
+        near(unit.dynamic_friction_ratio, 0.9 * a.dynamic_friction_ratio);
+        near(unit.supply_voltage_v, 1.01 * a.supply_voltage_v);
+        assert_eq!(rest, 0.5);
+        assert_eq!(Spread::none().unit(&a, 0.5, &[1.0; Cause::COUNT]), (a.clone(), 0.5));
+        // what is known of a unit is found again
+        let found = Cause::Resistance.deviation(&a, 0.0, unit.phase_resistance_ohm);
+        assert!((found - 0.05).abs() < 1e-12, "{found}");
+    }
+
+    #[test]
+    fn prop_a_warm_winding_has_more_resistance_and_less_flux() {
+        let a = ActuatorParameters::reference();
+        let mut warm = Spread::none();
+        warm.half_width[Cause::Temperature as usize] = 40.0;
+        let (unit, _) = warm.unit(&a, 0.0, &[1.0; Cause::COUNT]);
+        assert!((unit.phase_resistance_ohm / a.phase_resistance_ohm - 1.1572).abs() < 1e-12);
+        assert!((unit.back_emf_v_s_per_rad / a.back_emf_v_s_per_rad - 0.956).abs() < 1e-12);
+    }
+}

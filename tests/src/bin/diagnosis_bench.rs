@@ -1,0 +1,145 @@
+//! `cargo run --release -p ema-tests --bin diagnosis-bench [OUT.md]`: coverage, widths, errors, silent misses
+//! and time of diagnoses, on tests that maps and calibration have not seen. Takes some minutes.
+
+use anyhow::{Context, Result};
+use diagnoser::diagnosis::Diagnoser;
+use ema_tests::coverage::defects::{self, Defect};
+use ema_tests::coverage::{FSJ, ZETA, calibrated, fresh, judge, only, quantile, record, reference_maps};
+use pipeline::calibrate::{Campaign, Effort};
+use schemas::feature::Feature;
+use std::fmt::Write;
+
+const TESTS: usize = 1000;
+const DEFECTS: usize = 200;
+const EFFORT: Effort = Effort {
+    runs: 2048,
+    surface_runs: 1024,
+    seed: 0,
+};
+
+fn main() -> Result<()> {
+    let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
+    let text = bench(&cache);
+    let _ = std::fs::remove_dir_all(&cache);
+    let text = text?;
+    if let Some(path) = std::env::args().nth(1) {
+        std::fs::write(&path, &text).context(path)?;
+    }
+    print!("{text}");
+    Ok(())
+}
+
+fn bench(cache: &std::path::Path) -> Result<String> {
+    let (set, kind) = reference_maps(&cache.join("maps"), "fine", 0.0)?;
+    let mut out = String::from("# Diagnoses held against what they promise\n\n");
+    let _ = writeln!(
+        out,
+        "Reference actuator and sensors (all values assumed), pre-flight test at 10 kHz, rest angle 0, {} maps on {} x {} \
+         points. Calibration: {} tests, {} more for the response to the spread. 95 % Wilson bounds in brackets.\n",
+        set.maps.len(),
+        set.maps[0].fsj.len(),
+        set.maps[0].zeta.len(),
+        EFFORT.runs,
+        EFFORT.surface_runs
+    );
+    let sets: [(&str, &[Feature]); 4] = [
+        ("the paper's P1, P2, P3", &[Feature::P1, Feature::P2, Feature::P3]),
+        (
+            "and the ripple",
+            &[Feature::P1, Feature::P2, Feature::P3, Feature::Ripple],
+        ),
+        (
+            "and rise time",
+            &[
+                Feature::P1,
+                Feature::P2,
+                Feature::P3,
+                Feature::Ripple,
+                Feature::SpeedLoss,
+                Feature::Rise,
+            ],
+        ),
+        ("and RMS current: all", &Feature::ALL),
+    ];
+    let mut tables = String::new();
+    let mut times = String::new();
+    let step_ns = pipeline::speed::measure().scalar_ns_per_step;
+    for name in ["none", "fleet"] {
+        let spread = sim_worker::datasets::spread(name)?;
+        let campaign = Campaign::run(&kind, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
+        let (units, measured) = fresh(&kind, &spread, TESTS, 1)?;
+        let diagnoser = calibrated(&set, &campaign)?;
+        let cases = judge(&diagnoser, &units, &measured);
+        out += &record::coverage(&format!("Spread {name}"), &cases);
+        let (us, us_95) = record::time_us(&diagnoser, &units, &measured);
+        let _ = writeln!(
+            times,
+            "| {name} | {us:.1} us | {us_95:.1} us | {:.0} |",
+            us * 1e3 / step_ns
+        );
+        let _ = writeln!(
+            tables,
+            "## What the maps are worth, spread {name}\n\n| maps | truth inside % | width FSJ | width zeta | error FSJ | error \
+             zeta |\n|---|---|---|---|---|---|"
+        );
+        for (title, features) in sets {
+            let part = calibrated(&only(&set, features), &campaign)?;
+            tables += &record::maps_row(title, &judge(&part, &units, &measured));
+        }
+        tables.push('\n');
+        tables += &defect_table(&diagnoser, &kind, name)?;
+    }
+    out += &tables;
+    let _ = writeln!(
+        out,
+        "## Time of a diagnosis from features, one core\n\nControl: a step of a single run of the test bench, {step_ns:.1} ns in \
+         the same process.\n\n| spread | median | 95th percentile | median in steps |\n|---|---|---|---|\n{times}"
+    );
+    out += &at_random_angles(cache)?;
+    Ok(out)
+}
+
+fn defect_table(diagnoser: &Diagnoser, kind: &pipeline::calibrate::TestKind, name: &str) -> Result<String> {
+    let spread = sim_worker::datasets::spread(name)?;
+    let mut out = format!(
+        "## Other defects, spread {name}\n\nSilent miss: located, and the true pair outside.\n\n| hidden | tests | unexplained | out of \
+         range | truth inside | silent misses % | width FSJ | maps named most |\n|---|---|---|---|---|---|---|---|\n"
+    );
+    let mut all = Vec::new();
+    for defect in Defect::ALL {
+        let cases = defects::tests(diagnoser, kind, &spread, defect, DEFECTS, 1)?;
+        out += &record::defect_row(defect.title(), &cases);
+        all.extend(cases);
+    }
+    out += &record::defect_row("all", &all);
+    out.push('\n');
+    Ok(out)
+}
+
+/// Maps made on first use at other rest angles, calibrated quickly.
+fn at_random_angles(cache: &std::path::Path) -> Result<String> {
+    let spread = sim_worker::datasets::spread("none")?;
+    let mut out = String::from(
+        "## Other rest angles, spread none\n\nMaps and calibration as made on first use (512 tests); 200 fresh tests each. Maps that are \
+         not monotone are left out.\n\n| rest angle | maps | truth inside % | width FSJ | width zeta |\n|---|---|---|---|---|\n",
+    );
+    for degrees in [20.0, 45.0, 77.0, 200.0, 311.0_f64] {
+        let (set, kind) = reference_maps(&cache.join(format!("maps-{degrees}")), "fine", degrees.to_radians())?;
+        let campaign = Campaign::run(&kind, &spread, Effort::QUICK, FSJ, ZETA)?.context("interrupted")?;
+        let (units, measured) = fresh(&kind, &spread, 200, degrees as u64)?;
+        let cases = judge(&calibrated(&set, &campaign)?, &units, &measured);
+        let inside = cases.iter().filter(|c| c.inside).count();
+        let width = |f: fn((f64, f64), f64) -> f64| {
+            quantile(cases.iter().filter_map(|c| Some(f(c.found?.0, c.fsj))), 0.5)
+        };
+        let _ = writeln!(
+            out,
+            "| {degrees} deg | {} | {} | {:.3} % | {:.5} |",
+            set.maps.len(),
+            ema_tests::coverage::percent(inside, cases.len()),
+            width(|w, fsj| 100.0 * w.0 / fsj),
+            width(|w, _| w.1)
+        );
+    }
+    Ok(out)
+}

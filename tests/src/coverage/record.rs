@@ -1,0 +1,113 @@
+//! The tables of the record.
+
+use super::{Case, percent, quadrant, quantile};
+use diagnoser::diagnosis::Diagnoser;
+use pipeline::calibrate::Unit;
+use schemas::feature::{Feature, RawFeatures};
+use std::fmt::Write;
+use std::time::Instant;
+
+fn located(cases: &[Case]) -> impl Iterator<Item = (&Case, (f64, f64), (f64, f64))> {
+    cases.iter().filter_map(|c| c.found.map(|(w, e)| (c, w, e)))
+}
+
+/// Coverage, widths and errors of one set of tests.
+pub fn coverage(title: &str, cases: &[Case]) -> String {
+    let mut out = String::new();
+    let n = cases.len();
+    let inside = cases.iter().filter(|c| c.inside).count();
+    let _ = writeln!(out, "### {title} ({n} tests)\n");
+    let _ = writeln!(out, "- true pair in both intervals: {} %", percent(inside, n));
+    for (q, name) in ["FSJ low, zeta low", "FSJ high, zeta low", "FSJ low, zeta high", "FSJ high, zeta high"]
+        .into_iter()
+        .enumerate()
+    {
+        let of: Vec<&Case> = cases.iter().filter(|c| quadrant(c) == q).collect();
+        let inside = of.iter().filter(|c| c.inside).count();
+        let _ = writeln!(out, "  - {name}: {} %", percent(inside, of.len()));
+    }
+    for name in ["located", "unexplained", "out_of_range", "incomplete"] {
+        let k = cases.iter().filter(|c| c.outcome == name).count();
+        let _ = writeln!(out, "- {name}: {k}");
+    }
+    let several = cases.iter().filter(|c| c.parts > 1).count();
+    let _ = writeln!(out, "- areas of several parts: {several}");
+    let w = |q, f: fn(&Case, (f64, f64)) -> f64| quantile(located(cases).map(|(c, w, _)| f(c, w)), q);
+    let _ = writeln!(
+        out,
+        "- width, median (95th percentile): FSJ {:.3} % ({:.3} %), zeta {:.5} ({:.5})",
+        w(0.5, |c, w| 100.0 * w.0 / c.fsj),
+        w(0.95, |c, w| 100.0 * w.0 / c.fsj),
+        w(0.5, |_, w| w.1),
+        w(0.95, |_, w| w.1)
+    );
+    for (name, least) in [("all", 0.0), ("zeta > 0.03", 0.03)] {
+        let e = |q, f: fn(&Case, (f64, f64)) -> f64| {
+            quantile(
+                located(cases).filter(|(c, ..)| c.zeta > least).map(|(c, _, e)| f(c, e)),
+                q,
+            )
+        };
+        let _ = writeln!(
+            out,
+            "- |error| of the centroid, {name}, median (95th percentile): FSJ {:.3} % ({:.3} %), zeta {:.5} ({:.5})",
+            e(0.5, |c, e| 100.0 * (e.0 / c.fsj).abs()),
+            e(0.95, |c, e| 100.0 * (e.0 / c.fsj).abs()),
+            e(0.5, |_, e| e.1.abs()),
+            e(0.95, |_, e| e.1.abs())
+        );
+    }
+    out.push('\n');
+    out
+}
+
+/// One row of a table of map sets.
+pub fn maps_row(title: &str, cases: &[Case]) -> String {
+    let n = cases.len();
+    let inside = cases.iter().filter(|c| c.inside).count();
+    let q = |f: fn(&Case, (f64, f64)) -> f64| quantile(located(cases).map(|(c, w, _)| f(c, w)), 0.5);
+    let e = |f: fn(&Case, (f64, f64)) -> f64| quantile(located(cases).map(|(c, _, e)| f(c, e)), 0.5);
+    format!(
+        "| {title} | {} | {:.3} % | {:.5} | {:.3} % | {:.5} |\n",
+        percent(inside, n),
+        q(|c, w| 100.0 * w.0 / c.fsj),
+        q(|_, w| w.1),
+        e(|c, e| 100.0 * (e.0 / c.fsj).abs()),
+        e(|_, e| e.1.abs())
+    )
+}
+
+/// One row of the table of defects: what became of the tests.
+pub fn defect_row(title: &str, cases: &[Case]) -> String {
+    let n = cases.len();
+    let count = |f: &dyn Fn(&Case) -> bool| cases.iter().filter(|c| f(c)).count();
+    let silent = count(&|c| c.outcome == "located" && !c.inside);
+    let width = quantile(located(cases).map(|(c, w, _)| 100.0 * w.0 / c.fsj), 0.5);
+    let named = |f: Feature| (count(&|c| c.contradicting.contains(&f)), f.name());
+    let mut names: Vec<(usize, &str)> = Feature::ALL.into_iter().map(named).filter(|(k, _)| *k > 0).collect();
+    names.sort_by(|a, b| b.cmp(a));
+    let names: Vec<String> = names.iter().take(3).map(|(k, name)| format!("{name} {k}")).collect();
+    format!(
+        "| {title} | {n} | {} | {} | {} | {} | {width:.2} % | {} |\n",
+        count(&|c| c.outcome == "unexplained"),
+        count(&|c| c.outcome == "out_of_range"),
+        count(&|c| c.inside),
+        percent(silent, n),
+        names.join(", ")
+    )
+}
+
+/// Microseconds of a diagnosis from features, one thread: median and 95th percentile.
+pub fn time_us(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) -> (f64, f64) {
+    let mut times = Vec::new();
+    for _ in 0..3 {
+        for (_, raw) in units.iter().zip(measured) {
+            let features = diagnoser.maps.features(raw);
+            let begin = Instant::now();
+            let d = diagnoser.diagnose(&features, &[]);
+            times.push(begin.elapsed().as_secs_f64() * 1e6);
+            std::hint::black_box(d);
+        }
+    }
+    (quantile(times.iter().copied(), 0.5), quantile(times.iter().copied(), 0.95))
+}
