@@ -29,6 +29,9 @@ const FEWEST: usize = 100;
 /// parameters would need 2.45 (assumed).
 const UNCALIBRATED: (f64, f64) = (3.0, 40.0);
 
+/// Greatest deviation of a witness without calibration, in standard uncertainties (assumed).
+pub const WITNESS_GATE: f64 = 5.0;
+
 /// What a campaign of simulated tests found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
@@ -48,6 +51,8 @@ pub struct Calibration {
     pub scores: [Vec<f64>; 4],
     /// misfits of all tests, rising
     pub misfits: Vec<f64>,
+    /// greatest deviation of a witness in each test, in standard uncertainties, rising
+    pub deviations: Vec<f64>,
     pub surfaces: Option<ResponseSurfaces>,
 }
 
@@ -77,6 +82,14 @@ impl Calibration {
         quantile(&self.misfits, 1.0 - REFUSED)
     }
 
+    /// Greatest deviation of a witness that is not called unexplained, in standard uncertainties.
+    pub fn witness_gate(&self) -> f64 {
+        if self.deviations.is_empty() {
+            return WITNESS_GATE;
+        }
+        quantile(&self.deviations, 1.0 - REFUSED)
+    }
+
     /// File of the calibration for a spread beside maps.
     pub fn file_name(spread: &str) -> String {
         format!("calibration-{spread}.json")
@@ -99,7 +112,7 @@ impl Calibration {
             return Err(Error::bad(file, "fingerprint of the maps", &c.maps, allowed));
         }
         let rising = |v: &[f64]| v.iter().all(|x| x.is_finite()) && v.is_sorted();
-        if c.misfits.is_empty() || !c.scores.iter().all(|v| rising(v)) || !rising(&c.misfits) {
+        if c.misfits.is_empty() || !c.scores.iter().all(|v| rising(v)) || !rising(&c.misfits) || !rising(&c.deviations) {
             return Err(Error::bad(file, "scores", "not rising numbers", "a file written by ema calibrate"));
         }
         Ok(c)

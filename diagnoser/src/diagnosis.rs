@@ -8,7 +8,7 @@
 //! All of them lie inside every single map's band of half-width `sqrt(Q_min + reach^2)` standard
 //! uncertainties: these bands are the paper's (5.1).
 
-use crate::calibration::{Calibration, uncalibrated};
+use crate::calibration::{Calibration, WITNESS_GATE, uncalibrated};
 pub use crate::calibration::COVERAGE;
 use crate::curves::Cut;
 use crate::estimate::{Estimate, Estimator};
@@ -167,6 +167,18 @@ pub fn parse_known(text: &[String], actuator: &ActuatorParameters, rest_angle_ra
     text.iter().map(one).collect()
 }
 
+/// How a test of known faults came out.
+#[derive(Clone, Copy, Debug)]
+pub struct Score {
+    /// how far its area must reach so that the intervals hold the true pair, in standard uncertainties
+    pub reach: f64,
+    pub misfit: f64,
+    /// greatest deviation of a witness, in standard uncertainties
+    pub deviation: f64,
+    /// quadrant of the fault range that the estimate lies in
+    pub quadrant: usize,
+}
+
 /// One actuator's maps made ready to diagnose: prepared once, then a diagnosis takes microseconds.
 #[derive(Clone, Debug)]
 pub struct Diagnoser {
@@ -177,6 +189,7 @@ pub struct Diagnoser {
     /// by quadrant
     reach: [f64; 4],
     gate: f64,
+    witness_gate: f64,
 }
 
 impl Diagnoser {
@@ -203,6 +216,7 @@ impl Diagnoser {
                 ([reach; 4], gate)
             }
         };
+        let witness_gate = calibration.as_ref().map_or(WITNESS_GATE, Calibration::witness_gate);
         Ok(Self {
             maps,
             calibration,
@@ -210,6 +224,7 @@ impl Diagnoser {
             estimator,
             reach,
             gate,
+            witness_gate,
         })
     }
 
@@ -335,9 +350,18 @@ impl Diagnoser {
             let area = (known >= 2).then(|| self.area(&values, misfit)).flatten();
             return Outcome::Incomplete { reason, area };
         }
-        if let Some(area) = self.area(&values, misfit) {
-            return Outcome::Located(area);
+        let best = self.estimator.best(&values, self.gate);
+        if let Some(best) = best.filter(|b| b.misfit <= self.gate) {
+            *misfit = Some(best.misfit);
+            if let Some(outcome) = self.overruled(features, &best) {
+                return outcome;
+            }
+            return match self.area_about(&values, &best) {
+                Some(area) => Outcome::Located(area),
+                None => self.outside(&best),
+            };
         }
+        *misfit = self.estimator.best(&values, self.gate).map(|b| b.misfit);
         self.nowhere(&values, *misfit)
     }
 
@@ -348,8 +372,12 @@ impl Diagnoser {
         if best.misfit > self.gate_of(values) {
             return None;
         }
+        self.area_about(values, &best)
+    }
+
+    fn area_about(&self, values: &Row, best: &Estimate) -> Option<Area> {
         let reach = self.reach[self.estimator.quadrant(best.fsj, best.zeta)];
-        let (joint, limits) = self.estimator.set(values, &best, reach);
+        let (joint, limits) = self.estimator.set(values, best, reach);
         let any = [(f64::NEG_INFINITY, f64::INFINITY); MOST];
         let paving = Paver::new().pave(self.estimator.lattice(), &joint, &any, &limits, &Goal::default())?;
         Some(area(&paving, (best.misfit + reach * reach).sqrt()))
@@ -363,35 +391,70 @@ impl Diagnoser {
         self.gate * (here.max(3) - 2) as f64 / (all.max(3) - 2) as f64
     }
 
-    /// Why there is no area.
-    fn nowhere(&self, values: &Row, misfit: Option<f64>) -> Outcome {
-        let limits = self.estimator.limits();
-        let (f0, f1, z1) = (limits.f.0, limits.f.1, limits.z.1);
-        let best = self.estimator.best(values, self.gate);
-        if let Some(best) = best.filter(|b| b.misfit <= self.gate) {
-            let mut sides = Vec::new();
-            if best.fsj > f1 {
-                sides.push(format!("FSJ above {f1} (about {:.2})", best.fsj));
-            }
-            if best.fsj < f0 {
-                sides.push(format!("FSJ below {f0} (about {:.2})", best.fsj));
-            }
-            if best.zeta > z1 {
-                sides.push(format!("zeta above {z1} (about {:.3})", best.zeta));
-            }
-            let reason = sides.join(", ");
-            return Outcome::OutOfRange { reason };
+    /// Witnesses that speak against the pair that the maps agree on.
+    fn overruled(&self, features: &Features, best: &Estimate) -> Option<Outcome> {
+        let mut odd = self.estimator.witnesses(features, best);
+        odd.retain(|(.., z)| z.abs() > self.witness_gate);
+        odd.sort_by(|a, b| b.3.abs().total_cmp(&a.3.abs()));
+        if odd.is_empty() {
+            return None;
         }
-        let beyond: Vec<String> = self.beyond(values);
-        if !beyond.is_empty() {
-            let reason = beyond.join("; ");
-            return Outcome::OutOfRange { reason };
-        }
-        self.contradiction(values, misfit)
+        let word = |&(f, found, expected, z): &(Feature, f64, f64, f64)| {
+            let (name, unit) = (f.name(), f.unit());
+            format!("{name} is {found:.4e} {unit} instead of {expected:.4e} ({:.1} u)", z.abs())
+        };
+        let words: Vec<String> = odd.iter().map(word).collect();
+        Some(Outcome::Unexplained {
+            contradicting: odd.iter().map(|o| o.0).collect(),
+            reason: format!(
+                "the maps agree on FSJ {:.3}, zeta {:.4}, but these faults do not explain that {}",
+                best.fsj,
+                best.zeta,
+                words.join(", nor that ")
+            ),
+        })
     }
 
-    /// Values that lie beyond every curve of their maps, in words.
-    fn beyond(&self, values: &Row) -> Vec<String> {
+    /// The maps agree on a pair beyond their range.
+    fn outside(&self, best: &Estimate) -> Outcome {
+        let limits = self.estimator.limits();
+        let (f0, f1, z1) = (limits.f.0, limits.f.1, limits.z.1);
+        let mut sides = Vec::new();
+        if best.fsj > f1 {
+            sides.push(format!("FSJ above {f1} (about {:.2})", best.fsj));
+        }
+        if best.fsj < f0 {
+            sides.push(format!("FSJ below {f0} (about {:.2})", best.fsj));
+        }
+        if best.zeta > z1 {
+            sides.push(format!("zeta above {z1} (about {:.3})", best.zeta));
+        }
+        let reason = sides.join(", ");
+        Outcome::OutOfRange { reason }
+    }
+
+    /// Why there is no area.
+    fn nowhere(&self, values: &Row, misfit: Option<f64>) -> Outcome {
+        let beyond = self.beyond(values);
+        // one feature alone beyond its map is no worse fault: the others would follow it
+        let worse = beyond.iter().filter(|b| b.1).count();
+        let words: Vec<String> = beyond.into_iter().map(|b| b.0).collect();
+        if worse >= 2 {
+            let reason = words.join("; ");
+            return Outcome::OutOfRange { reason };
+        }
+        match self.contradiction(values, misfit) {
+            Outcome::Unexplained { contradicting, reason } if !words.is_empty() => Outcome::Unexplained {
+                contradicting,
+                reason: format!("{reason}; {}", words.join("; ")),
+            },
+            outcome => outcome,
+        }
+    }
+
+    /// Values that lie beyond every curve of their maps, in words, and whether greater faults would move
+    /// them there.
+    fn beyond(&self, values: &Row) -> Vec<(String, bool)> {
         let features = self.estimator.features();
         let text = |(&f, &value): (&Feature, &f64)| {
             let m = self.maps.map(f)?;
@@ -411,7 +474,10 @@ impl Diagnoser {
                 return None;
             };
             let (name, unit) = (f.name(), f.unit());
-            Some(format!("{name} = {value:.5e} {unit} is {side} the map's end {end:.5e}"))
+            let words = format!("{name} = {value:.5e} {unit} is {side} the map's end {end:.5e}");
+            // where the direction is not the same along both faults, either may
+            let worse = (side == "above") == (m.direction.0 > 0.0) || (side == "above") == (m.direction.1 > 0.0);
+            Some((words, worse))
         };
         features.iter().zip(values).filter_map(text).collect()
     }
@@ -456,22 +522,21 @@ impl Diagnoser {
         found((0..n).collect(), "nor do most of them fit".into())
     }
 
-    /// How far the area of a test would have to reach so that its intervals hold the true pair, and the
-    /// misfit of the best pair: what calibration needs. `None` where a feature is missing.
-    pub fn score(&self, features: &Features, fsj: f64, zeta: f64) -> Option<(Estimate, f64)> {
+    /// What calibration needs of a test whose true pair is known. `None` where a feature is missing.
+    pub fn score(&self, features: &Features, fsj: f64, zeta: f64) -> Option<Score> {
         let mut values: Row = [f64::NAN; MOST];
         for (v, f) in values.iter_mut().zip(self.estimator.features()) {
             *v = features.get(*f).filter(|v| v.is_finite())?;
         }
         let best = self.estimator.best(&values, self.gate)?;
         let profile = self.estimator.profile(&values, &best, fsj, zeta);
-        let score = (profile - best.misfit).max(0.0).sqrt();
-        Some((best, score))
-    }
-
-    /// Quadrant of the fault range.
-    pub fn quadrant(&self, fsj: f64, zeta: f64) -> usize {
-        self.estimator.quadrant(fsj, zeta)
+        let witnesses = self.estimator.witnesses(features, &best);
+        Some(Score {
+            reach: (profile - best.misfit).max(0.0).sqrt(),
+            misfit: best.misfit,
+            deviation: witnesses.iter().fold(0.0, |a, w| a.max(w.3.abs())),
+            quadrant: self.estimator.quadrant(best.fsj, best.zeta),
+        })
     }
 
     /// Response surfaces and misfits of samples need what the maps say at a pair: feature, map, stated
@@ -480,7 +545,12 @@ impl Diagnoser {
         let at = self.estimator.lattice().at(fsj, zeta);
         let own = |f: &Feature| self.maps.map(*f).expect("of this set").uncertainty(fsj, zeta);
         let features = self.estimator.features().iter();
-        features.zip(at).map(|(f, m)| (*f, m, own(f))).collect()
+        let witness = |w: &FailureMap| (w.feature, w.witness_at(fsj, zeta), w.uncertainty(fsj, zeta));
+        features
+            .zip(at)
+            .map(|(f, m)| (*f, m, own(f)))
+            .chain(self.maps.witnesses.iter().map(witness))
+            .collect()
     }
 }
 

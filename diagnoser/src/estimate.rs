@@ -5,7 +5,7 @@ use crate::diagnosis::Known;
 use crate::failure_map::{FailureMap, FailureMapSet};
 use crate::paving::{Joint, Lattice, Limits};
 use crate::uncertainty::{MOST, PreparedSurfaces, ResponseSurfaces, Row};
-use schemas::feature::Feature;
+use schemas::feature::{Feature, Features};
 
 /// Lattice lines between two lines of the grid: what is bilinear between them departs from the monotone
 /// cubic by a sixteenth of what it would on the grid itself.
@@ -62,6 +62,11 @@ pub struct Estimator {
     known: Option<PreparedSurfaces>,
     limits: Limits,
     starts: Vec<Start>,
+    witnesses: Vec<FailureMap>,
+    /// as `causes` and `known`, of the witnesses
+    witness_causes: Option<PreparedSurfaces>,
+    witness_known: Option<PreparedSurfaces>,
+    witness_remainder: Row,
 }
 
 impl Estimator {
@@ -104,7 +109,16 @@ impl Estimator {
         let mut directions = [(1.0, 1.0); MOST];
         directions.iter_mut().zip(&maps).for_each(|(d, m)| *d = m.direction);
         let lattice = Lattice::new(fsj, zeta, nodes, directions).expect("maps have rising axes and finite values");
-        let (causes, known) = match (calibration, surfaces) {
+        let witnesses = set.witnesses.clone();
+        let witness_names: Vec<Feature> = witnesses.iter().map(|w| w.feature).collect();
+        let mut witness_remainder = [0.0; MOST];
+        for (r, f) in witness_remainder.iter_mut().zip(&witness_names) {
+            *r = surfaces
+                .and_then(|s| s.remainder.get(f.name()))
+                .copied()
+                .unwrap_or(0.0);
+        }
+        let ((causes, known), (witness_causes, witness_known)) = match (calibration, surfaces) {
             (Some(c), Some(s)) => {
                 let unknown: Vec<_> = c
                     .spread()
@@ -113,10 +127,11 @@ impl Estimator {
                     // standard deviation of a uniform distribution
                     .map(|(c, h)| (c, h / 3f64.sqrt()))
                     .collect();
-                let prepared = |list: &[_]| (!list.is_empty()).then(|| s.prepared(&features, list));
-                (prepared(&unknown), prepared(known))
+                let prepared = |of: &[Feature], list: &[_]| (!list.is_empty()).then(|| s.prepared(of, list));
+                let both = |of: &[Feature]| (prepared(of, &unknown), prepared(of, known));
+                (both(&features), both(&witness_names))
             }
-            _ => (None, None),
+            _ => ((None, None), (None, None)),
         };
         let mut estimator = Self {
             features,
@@ -126,6 +141,10 @@ impl Estimator {
             known,
             limits,
             starts: Vec::new(),
+            witnesses,
+            witness_causes,
+            witness_known,
+            witness_remainder,
         };
         estimator.starts = estimator.make_starts();
         estimator
@@ -355,6 +374,36 @@ impl Estimator {
             }
         }
         apply(&e.whitening, &r)
+    }
+
+    /// How far each witness that is there lies from what it should be at the best pair, in standard
+    /// uncertainties: sensors, the surface between its grid points, the unit's spread, and what the pair
+    /// itself is uncertain by. With what it is and what it should be.
+    pub fn witnesses(&self, features: &Features, best: &Estimate) -> Vec<(Feature, f64, f64, f64)> {
+        let (fsj, zeta) = (best.fsj, best.zeta);
+        let (_, by_f, by_z) = self.lattice.with_slopes(fsj, zeta);
+        let (a, b) = (apply(&best.whitening, &by_f), apply(&best.whitening, &by_z));
+        let dot = |x: &Row, y: &Row| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        let (aa, ab, bb) = (dot(&a, &a), dot(&a, &b), dot(&b, &b));
+        let det = (aa * bb - ab * ab).max(1e-300);
+        let causes: Vec<Row> = self.witness_causes.iter().flat_map(|c| c.at(fsj, zeta)).collect();
+        let known: Vec<Row> = self.witness_known.iter().flat_map(|c| c.at(fsj, zeta)).collect();
+        let one = |(k, w): (usize, &FailureMap)| {
+            let found = features.get(w.feature).filter(|v| v.is_finite())?;
+            let expected = w.witness_at(fsj, zeta) + known.iter().map(|c| c[k]).sum::<f64>();
+            let (df, dz) = (
+                1e-2 * (self.limits.f.1 - self.limits.f.0),
+                1e-2 * (self.limits.z.1 - self.limits.z.0),
+            );
+            let slope_f = (w.witness_at(fsj + df, zeta) - w.witness_at(fsj - df, zeta)) / (2.0 * df);
+            let slope_z = (w.witness_at(fsj, zeta + dz) - w.witness_at(fsj, zeta - dz)) / (2.0 * dz);
+            let of_pair = (bb * slope_f * slope_f - 2.0 * ab * slope_f * slope_z + aa * slope_z * slope_z) / det;
+            let of_causes: f64 = causes.iter().map(|c| c[k] * c[k]).sum();
+            let own = w.uncertainty(fsj, zeta).powi(2) + self.witness_remainder[k].powi(2);
+            let u = (own + of_causes + of_pair.max(0.0)).sqrt().max(1e-300);
+            Some((w.feature, found, expected, (found - expected) / u))
+        };
+        self.witnesses.iter().enumerate().filter_map(one).collect()
     }
 
     /// The set of pairs whose misfit is at most `reach^2` above that of the best pair, within the maps.

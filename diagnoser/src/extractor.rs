@@ -1,6 +1,7 @@
 //! Features from telemetry, streaming: no I/O, all state inside, and the same bits whatever the
 //! size of the chunks (every sum runs sample by sample).
 
+use crate::witness::{SineShape, SineWitness, imbalance};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::feature::RawFeatures;
@@ -74,6 +75,7 @@ pub struct FeaturePlan {
     pub step: Option<Window>,
     /// motor speed that ends the rise time [rad/s]
     rise_rad_per_s: f64,
+    sine_shape: SineShape,
     /// height of the step: its sign is the direction of motion [rad]
     pub step_rad: f64,
     /// |Im| of the simplified model over `sine` [A]
@@ -95,6 +97,24 @@ impl FeaturePlan {
         let ramp = window(|c| matches!(c, Command::Ramp { .. }), 0.0, f64::INFINITY);
         let step = window(|c| matches!(c, Command::Step { .. }), 0.0, REGIME_S.1);
         let no_load_rad_per_s = actuator.supply_voltage_v / (2.0 * actuator.back_emf_v_s_per_rad);
+        // a sequence without sine has no samples to look at
+        let (amplitude_rad, frequency_hz) = sequence
+            .segments
+            .iter()
+            .find_map(|s| match s.command {
+                Command::Sine {
+                    amplitude_rad,
+                    frequency_hz,
+                } => Some((amplitude_rad, frequency_hz)),
+                _ => None,
+            })
+            .unwrap_or((1.0, 1.0));
+        let amplitude_rad = amplitude_rad.abs() * actuator.gear_ratio;
+        let sine_shape = SineShape {
+            pole_pairs: f64::from(actuator.pole_pairs),
+            amplitude_rad,
+            speed_rad_per_s: std::f64::consts::TAU * frequency_hz * amplitude_rad,
+        };
         let step_rad = sequence.segments.iter().find_map(|s| {
             if let Command::Step { height_rad } = s.command {
                 Some(height_rad)
@@ -115,6 +135,7 @@ impl FeaturePlan {
             sine,
             ramp,
             step,
+            sine_shape,
             rise_rad_per_s: RISE_SHARE * no_load_rad_per_s,
             step_rad: step_rad.unwrap_or(0.0),
             monitor_a,
@@ -167,7 +188,8 @@ pub struct FeatureExtractor {
     sum: f64,
     sum2: f64,
     current_seen: u64,
-    current_sum2: f64,
+    /// by phase
+    current_sum2: [f64; 3],
     // step: samples seen without a gap, speed of the last of them
     step_seen: u64,
     step_speed: f64,
@@ -175,6 +197,7 @@ pub struct FeatureExtractor {
     // sine
     sine_seen: u64,
     sine_sum2: f64,
+    witness: SineWitness,
     // ramp
     ramp_seen: u64,
     breakaway_rad: Option<f64>,
@@ -190,12 +213,13 @@ impl FeatureExtractor {
             sum: 0.0,
             sum2: 0.0,
             current_seen: 0,
-            current_sum2: 0.0,
+            current_sum2: [0.0; 3],
             step_seen: 0,
             step_speed: 0.0,
             rise_s: None,
             sine_seen: 0,
             sine_sum2: 0.0,
+            witness: SineWitness::default(),
             ramp_seen: 0,
             breakaway_rad: None,
         }
@@ -231,7 +255,9 @@ impl FeatureExtractor {
         if let (Some(w), [Some(a), Some(b), Some(c)]) = (self.plan.regime, phases) {
             let rows = w.rows(view);
             for i in rows.clone() {
-                self.current_sum2 += a[i] * a[i] + b[i] * b[i] + c[i] * c[i];
+                for (sum, x) in self.current_sum2.iter_mut().zip([a[i], b[i], c[i]]) {
+                    *sum += x * x;
+                }
             }
             self.current_seen += rows.len() as u64;
         }
@@ -240,6 +266,7 @@ impl FeatureExtractor {
         }
         if let Some(w) = self.plan.sine {
             let rows = w.rows(view);
+            self.witness.push(&self.plan.sine_shape, view, rows.clone());
             let from = (view.first + rows.start as u64 - w.from.min(view.first + rows.start as u64)) as usize;
             let monitor = &self.plan.monitor_a[from.min(self.plan.monitor_a.len())..];
             if let ([Some(a), Some(b), Some(c)], false) = (phases, self.plan.equivalent_current) {
@@ -325,6 +352,9 @@ impl FeatureExtractor {
         let n = self.regime_seen as f64;
         let regime = whole(self.plan.regime, self.regime_seen);
         let mean = self.sum / n;
+        let phases = whole(self.plan.regime, self.current_seen) && !self.plan.equivalent_current;
+        let sine = whole(self.plan.sine, self.sine_seen);
+        let even = self.witness.even_current_a().filter(|_| sine);
         RawFeatures {
             // a step down runs with negative speed: the mean is counted in the step's direction
             mean_speed_rad_per_s: regime.then(|| (self.shift + mean) * 1f64.copysign(self.plan.step_rad)),
@@ -332,8 +362,13 @@ impl FeatureExtractor {
             p2_a: whole(self.plan.sine, self.sine_seen).then(|| (self.sine_sum2 / self.sine_seen as f64).sqrt()),
             p3_rad: self.breakaway_rad,
             rise_s: self.rise_s,
-            current_rms_a: (whole(self.plan.regime, self.current_seen) && !self.plan.equivalent_current)
-                .then(|| (self.current_sum2 / (3.0 * self.current_seen as f64)).sqrt()),
+            current_rms_a: phases
+                .then(|| (self.current_sum2.iter().sum::<f64>() / (3.0 * self.current_seen as f64)).sqrt()),
+            sine_travel_rad: self.witness.travel_rad().filter(|_| sine),
+            current_sum_a: self.witness.current_sum_a().filter(|_| sine),
+            current_imbalance: imbalance(self.current_sum2).filter(|_| phases),
+            even_current_a: even.map(|e| e.1),
+            bias_current_a: even.map(|e| e.0),
             rest_angle_rad: self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU)),
         }
     }

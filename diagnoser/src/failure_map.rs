@@ -89,11 +89,15 @@ impl FailureMap {
     /// * `noise` standard deviation from the sensors
     /// * `sample` the feature's step where it comes in whole samples, else 0
     ///
+    /// * `direction` along (FSJ, zeta)
+    ///
     /// Refuses breaks of monotony beyond [`BREAK_LIMIT`] and values that are not numbers, naming
     /// the grid points.
+    #[allow(clippy::too_many_arguments)] // what a map is made of
     pub fn build(
         file: &str,
         feature: Feature,
+        direction: (f64, f64),
         fsj: &[f64],
         zeta: &[f64],
         raw: Vec<f64>,
@@ -121,7 +125,6 @@ impl FailureMap {
                 "a finite number at every grid point",
             ));
         }
-        let direction = feature.direction();
         let value = monotone_surface(&raw, zeta.len(), columns, direction);
         let (lo, hi) = raw.iter().fold((f64::MAX, f64::MIN), |(a, b), &v| (a.min(v), b.max(v)));
         let limit = (BREAK_LIMIT * (hi - lo)).max(sample);
@@ -200,6 +203,39 @@ impl FailureMap {
             share * root_mean_square(near.filter(|e| *e > 0.0))
         };
         (0..fine.len()).map(at).collect()
+    }
+
+    /// A surface that need not be monotone: what a witness should be. Faults are not located by it.
+    pub fn of_witness(feature: Feature, fsj: &[f64], zeta: &[f64], raw: Vec<f64>, noise: f64) -> Option<Self> {
+        if !raw.iter().all(|v| v.is_finite()) || fsj.len() < 2 || zeta.len() < 2 {
+            return None;
+        }
+        let mut map = Self {
+            feature,
+            direction: (1.0, 1.0),
+            fsj: fsj.into(),
+            zeta: zeta.into(),
+            value: raw.clone(),
+            budget: MapBudget {
+                noise,
+                interpolation: 0.0,
+                projection: 0.0,
+                sample: 0.0,
+            },
+            error: Vec::new(),
+            residual: vec![0.0; raw.len()],
+            slope: Vec::new(),
+            raw,
+        };
+        map.slope = map.slopes_across();
+        map.error = map.interpolation_error();
+        map.budget.interpolation = root_mean_square(map.error.iter().copied());
+        Some(map)
+    }
+
+    /// Value of a witness's surface at a fault pair, bilinear.
+    pub fn witness_at(&self, fsj: f64, zeta: f64) -> f64 {
+        self.table_at(&self.raw, fsj, zeta)
     }
 
     /// PCHIP slopes across zeta for each FSJ column.

@@ -19,3 +19,4 @@ pub mod report;
 pub mod sensitivity;
 pub mod uncertainty;
 pub mod view;
+pub mod witness;

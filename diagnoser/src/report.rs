@@ -46,9 +46,9 @@ fn part(p: &Part) -> Value {
 
 /// Features by key; P3 also in rad.
 fn features(f: &Features) -> Value {
-    let named = Feature::ALL.map(|x| (x.key().to_string(), json!(f.get(x))));
+    let named = Feature::every().map(|x| (x.key().to_string(), json!(f.get(x))));
     let p3_rad = ("p3_rad".to_string(), json!(f.p3_rad));
-    named.into_iter().chain([p3_rad]).collect::<serde_json::Map<_, _>>().into()
+    named.chain([p3_rad]).collect::<serde_json::Map<_, _>>().into()
 }
 
 fn contradicting(outcome: &Outcome) -> &[Feature] {
@@ -221,7 +221,7 @@ pub fn to_batch(rows: &[Logged]) -> RecordBatch {
         add(name, DataType::Float64, true, column);
     }
     add("coverage", DataType::Float64, false, number(&|r| Some(r.report.diagnosis.coverage)));
-    for f in Feature::ALL {
+    for f in Feature::every() {
         let column = number(&|r| r.report.diagnosis.features.get(f));
         add(f.key(), DataType::Float64, true, column);
     }

@@ -227,18 +227,21 @@ impl Campaign {
             commit: COMMIT.into(),
             scores: Default::default(),
             misfits: vec![uncalibrated(COVERAGE).1],
+            deviations: Vec::new(),
             surfaces: self.surfaces(set),
         };
         let diagnoser = Diagnoser::new(set.clone(), Some(calibration.clone()), COVERAGE, &Vec::new())?;
         calibration.misfits.clear();
         for (u, raw) in self.scores.0.iter().zip(&self.scores.1) {
-            let Some((best, score)) = diagnoser.score(&set.features(raw), u.fault.fsj, u.fault.zeta) else {
+            let Some(score) = diagnoser.score(&set.features(raw), u.fault.fsj, u.fault.zeta) else {
                 continue;
             };
-            calibration.misfits.push(best.misfit);
-            calibration.scores[diagnoser.quadrant(best.fsj, best.zeta)].push(score);
+            calibration.misfits.push(score.misfit);
+            calibration.deviations.push(score.deviation);
+            calibration.scores[score.quadrant].push(score.reach);
         }
         calibration.misfits.sort_by(f64::total_cmp);
+        calibration.deviations.sort_by(f64::total_cmp);
         calibration.scores.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
         Ok(calibration)
     }

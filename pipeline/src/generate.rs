@@ -183,8 +183,8 @@ impl FeatureSink {
     }
 
     /// Mean and standard deviation over the seeds, in the order of [`RawFeatures::COLUMNS`].
-    fn result(&self) -> [(Option<f64>, f64); 6] {
-        let all: Vec<[Option<f64>; 6]> = self.extractors.iter().map(|x| x.features().values()).collect();
+    fn result(&self) -> [(Option<f64>, f64); RawFeatures::COUNT] {
+        let all: Vec<[Option<f64>; RawFeatures::COUNT]> = self.extractors.iter().map(|x| x.features().values()).collect();
         std::array::from_fn(|k| {
             let values: Option<Vec<f64>> = all.iter().map(|v| v[k]).collect();
             let Some(v) = values else { return (None, 0.0) };
@@ -305,7 +305,7 @@ impl Store for DatasetStore<'_> {
 }
 
 /// A run, and mean and standard deviation of each of [`RawFeatures::COLUMNS`].
-type FeatureRow<'a> = (&'a Run, [(Option<f64>, f64); 6]);
+type FeatureRow<'a> = (&'a Run, [(Option<f64>, f64); RawFeatures::COUNT]);
 
 /// Features table of one block.
 fn write_features(path: &Path, provenance: &Provenance, rows: &[FeatureRow<'_>]) -> Result<()> {
@@ -324,10 +324,10 @@ fn write_features(path: &Path, provenance: &Provenance, rows: &[FeatureRow<'_>])
         numbers(&|(r, _)| Some(r.lane.fault.zeta)),
         numbers(&|(r, _)| Some(r.lane.rest_angle_rad)),
     ];
-    for k in 0..RawFeatures::COLUMNS.len() {
+    for k in 0..RawFeatures::COUNT {
         columns.push(numbers(&|(_, f)| f[k].0));
     }
-    for k in 0..RawFeatures::COLUMNS.len() {
+    for k in 0..RawFeatures::COUNT {
         columns.push(numbers(&|(_, f)| f[k].0.map(|_| f[k].1)));
     }
     let batch = RecordBatch::try_new(schema, columns).map_err(|e| Error::torn(path, e))?;

@@ -158,6 +158,23 @@ pub fn first_file(dir: &Path) -> Result<PathBuf> {
         .ok_or_else(|| Error::bad(features.display().to_string(), "folder", "no Parquet files", allowed).into())
 }
 
+/// The map of a feature with the direction that it usually has, or else with another one: at some rest
+/// angles rise time and currents fall with the eccentricity. The error is that of the usual direction.
+fn declared(
+    file: &str,
+    feature: Feature,
+    fsj: &[f64],
+    zeta: &[f64],
+    raw: &[f64],
+    noise: f64,
+    sample: f64,
+) -> Result<FailureMap, Error> {
+    let build = |direction| FailureMap::build(file, feature, direction, fsj, zeta, raw.to_vec(), noise, sample);
+    let (along, across) = feature.direction();
+    let others = [(along, -across), (-along, across), (-along, -across)];
+    build((along, across)).or_else(|e| others.into_iter().find_map(|d| build(d).ok()).ok_or(e))
+}
+
 /// Builds the maps of a dataset.
 ///
 /// * `dir` dataset folder with `features/`
@@ -258,7 +275,7 @@ pub fn build(
         let all = column(name)?;
         Ok(rows.iter().map(|&i| all[i]).collect())
     };
-    let columns = |names: [&str; 6]| -> Result<Vec<RawFeatures>> {
+    let columns = |names: [&str; RawFeatures::COUNT]| -> Result<Vec<RawFeatures>> {
         let columns = names.map(get).into_iter().collect::<Result<Vec<_>>>()?;
         let row = |i| RawFeatures::from_values(std::array::from_fn(|k| columns[k][i]), Some(rest));
         Ok((0..rows.len()).map(row).collect())
@@ -271,9 +288,9 @@ pub fn build(
         Command::Ramp { slope_rad_per_s } => Some(slope_rad_per_s.abs()),
         _ => None,
     });
-    let mut maps = Vec::new();
+    let (mut maps, mut witnesses) = (Vec::new(), Vec::new());
     let mut left_out = Vec::new();
-    for feature in Feature::ALL {
+    for feature in Feature::every() {
         let value = |i: usize| Features::over(&measured[i], &nominal).get(feature);
         let raw: Vec<Option<f64>> = (0..rows.len()).map(value).collect();
         if raw.iter().all(Option::is_none) {
@@ -295,6 +312,11 @@ pub fn build(
                 Feature::SpeedLoss => known(s.mean_speed_rad_per_s),
                 Feature::Rise => known(s.rise_s),
                 Feature::CurrentRms => known(s.current_rms_a),
+                Feature::SineTravel => known(s.sine_travel_rad),
+                Feature::CurrentSum => known(s.current_sum_a),
+                Feature::CurrentImbalance => known(s.current_imbalance),
+                Feature::EvenCurrent => known(s.even_current_a),
+                Feature::BiasCurrent => known(s.bias_current_a),
             }
         };
         let mut noise: Vec<f64> = (0..rows.len()).map(sd).collect();
@@ -304,7 +326,11 @@ pub fn build(
             (Feature::P3, Some(a), Some(p0)) => a / provenance.rate_hz / p0,
             _ => 0.0,
         };
-        match FailureMap::build(&file, feature, &fsj, &zeta, raw, noise, sample) {
+        if Feature::WITNESSES.contains(&feature) {
+            witnesses.extend(FailureMap::of_witness(feature, &fsj, &zeta, raw, noise));
+            continue;
+        }
+        match declared(&file, feature, &fsj, &zeta, &raw, noise, sample) {
             Ok(m) => maps.push(m),
             Err(Error::Bad {
                 place, found, allowed, ..
@@ -339,5 +365,10 @@ pub fn build(
         commit: provenance.commit,
         left_out,
     };
-    Ok(FailureMapSet { header, nominal, maps })
+    Ok(FailureMapSet {
+        header,
+        nominal,
+        maps,
+        witnesses,
+    })
 }

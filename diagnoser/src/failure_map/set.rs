@@ -44,13 +44,17 @@ pub struct FailureMapSet {
     /// the nominal run through the same sensors
     pub nominal: RawFeatures,
     pub maps: Vec<FailureMap>,
+    /// what the witnesses should be
+    pub witnesses: Vec<FailureMap>,
 }
 
 #[derive(Serialize, Deserialize)]
 struct Stored {
     header: MapSetHeader,
-    nominal: [Option<f64>; 6],
+    nominal: [Option<f64>; RawFeatures::COUNT],
     budgets: BTreeMap<String, MapBudget>,
+    /// direction along (FSJ, zeta) of each map
+    directions: BTreeMap<String, (f64, f64)>,
 }
 
 impl FailureMapSet {
@@ -62,7 +66,7 @@ impl FailureMapSet {
     /// Of what the maps are for and of every value.
     pub fn fingerprint(&self) -> String {
         let header = serde_json::to_string(&self.header).expect("plain data");
-        let values = self.maps.iter().flat_map(|m| &m.raw).map(|x| exact(*x));
+        let values = self.all().flat_map(|m| &m.raw).map(|x| exact(*x));
         fingerprint(&format!("maps;{header};{}", values.collect::<Vec<_>>().join(",")))
     }
 
@@ -70,13 +74,17 @@ impl FailureMapSet {
         self.maps.iter().find(|m| m.feature == feature)
     }
 
+    fn all(&self) -> impl Iterator<Item = &FailureMap> {
+        self.maps.iter().chain(&self.witnesses)
+    }
+
     /// Saves the maps as one Parquet table: feature, fsj, zeta, value, raw_value.
     pub fn save(&self, path: &Path) -> Result<()> {
         let column = |f: fn(&FailureMap, usize) -> f64| -> ArrayRef {
-            let v = self.maps.iter().flat_map(|m| (0..m.value.len()).map(move |i| f(m, i)));
+            let v = self.all().flat_map(|m| (0..m.value.len()).map(move |i| f(m, i)));
             Arc::new(Float64Array::from_iter_values(v))
         };
-        let names = self.maps.iter().flat_map(|m| m.value.iter().map(|_| m.feature.name()));
+        let names = self.all().flat_map(|m| m.value.iter().map(|_| m.feature.name()));
         let field = |n: &str, t: DataType| Field::new(n, t, false);
         let schema = Arc::new(Schema::new(vec![
             field("feature", DataType::Utf8),
@@ -112,9 +120,13 @@ impl FailureMapSet {
             header: h.clone(),
             nominal: self.nominal.values(),
             budgets: self
+                .all()
+                .map(|m| (m.feature.name().to_string(), m.budget.clone()))
+                .collect(),
+            directions: self
                 .maps
                 .iter()
-                .map(|m| (m.feature.name().to_string(), m.budget.clone()))
+                .map(|m| (m.feature.name().to_string(), m.direction))
                 .collect(),
         };
         let mut pairs = provenance.pairs();
@@ -165,13 +177,13 @@ impl FailureMapSet {
             );
             for i in 0..batch.num_rows() {
                 let feature = Feature::from_name(names.value(i))
-                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), Feature::ALL.map(Feature::name).join(", ")))?;
+                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), names_of_all()))?;
                 rows.entry(feature)
                     .or_default()
                     .push([f.value(i), z.value(i), v.value(i), r.value(i)]);
             }
         }
-        let mut maps = Vec::new();
+        let (mut maps, mut witnesses) = (Vec::new(), Vec::new());
         for (feature, rows) in rows {
             let axis = |k: usize| {
                 let mut v: Vec<f64> = rows.iter().map(|r| r[k]).collect();
@@ -194,8 +206,25 @@ impl FailureMapSet {
             }
             let budget = stored.budgets.get(feature.name()).cloned();
             let budget = budget.ok_or_else(|| Error::bad(&file, "budgets", "nothing", feature.name()))?;
-            let raw = rows.iter().map(|r| r[3]).collect();
-            let mut map = FailureMap::build(&file, feature, &fsj, &zeta, raw, budget.noise, budget.sample)?;
+            let raw: Vec<f64> = rows.iter().map(|r| r[3]).collect();
+            if Feature::WITNESSES.contains(&feature) {
+                let place = format!("witness {}", feature.name());
+                let map = FailureMap::of_witness(feature, &fsj, &zeta, raw, budget.noise);
+                witnesses.push(map.ok_or_else(|| Error::bad(&file, place, "not a number", "numbers"))?);
+                continue;
+            }
+            let direction = stored.directions.get(feature.name()).copied();
+            let direction = direction.ok_or_else(|| Error::bad(&file, "directions", "nothing", feature.name()))?;
+            let mut map = FailureMap::build(
+                &file,
+                feature,
+                direction,
+                &fsj,
+                &zeta,
+                raw,
+                budget.noise,
+                budget.sample,
+            )?;
             map.budget = budget;
             maps.push(map);
         }
@@ -207,6 +236,11 @@ impl FailureMapSet {
             header: stored.header,
             nominal,
             maps,
+            witnesses,
         })
     }
+}
+
+fn names_of_all() -> String {
+    Feature::every().map(Feature::name).collect::<Vec<_>>().join(", ")
 }

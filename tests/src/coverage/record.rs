@@ -84,7 +84,7 @@ pub fn defect_row(title: &str, cases: &[Case]) -> String {
     let silent = count(&|c| c.outcome == "located" && !c.inside);
     let width = quantile(located(cases).map(|(c, w, _)| 100.0 * w.0 / c.fsj), 0.5);
     let named = |f: Feature| (count(&|c| c.contradicting.contains(&f)), f.name());
-    let mut names: Vec<(usize, &str)> = Feature::ALL.into_iter().map(named).filter(|(k, _)| *k > 0).collect();
+    let mut names: Vec<(usize, &str)> = Feature::every().map(named).filter(|(k, _)| *k > 0).collect();
     names.sort_by(|a, b| b.cmp(a));
     let names: Vec<String> = names.iter().take(3).map(|(k, name)| format!("{name} {k}")).collect();
     format!(
