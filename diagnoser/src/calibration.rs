@@ -22,12 +22,15 @@ const CONFIDENCE: f64 = 0.8;
 /// Share of the campaign's tests that are refused as unexplained although nothing is wrong with them.
 const REFUSED: f64 = 0.005;
 
-/// Fewest tests of a group of its own.
-const FEWEST: usize = 100;
+/// Fewest tests of a group of its own: with fewer, the confidence costs more width than the group saves.
+const FEWEST: usize = 200;
 
 /// Reach of uncalibrated areas for 95 % in standard deviations, and what their misfit may be: two Gaussian
 /// parameters would need 2.45 (assumed).
 const UNCALIBRATED: (f64, f64) = (3.0, 40.0);
+
+/// Score of a test that is called unexplained: no reach makes up for it.
+pub const REFUSED_SCORE: f64 = 1e9;
 
 /// Greatest deviation of a witness without calibration, in standard uncertainties (assumed).
 pub const WITNESS_GATE: f64 = 5.0;
@@ -47,7 +50,8 @@ pub struct Calibration {
     pub maps: String,
     /// source revision of the program that made it
     pub commit: String,
-    /// scores by quadrant (FSJ above the middle + 2 x zeta above the middle), rising
+    /// scores by quadrant (FSJ above the middle + 2 x zeta above the middle), rising; `REFUSED_SCORE` of tests
+    /// that are called unexplained
     pub scores: [Vec<f64>; 4],
     /// misfits of all tests, rising
     pub misfits: Vec<f64>,
@@ -69,12 +73,22 @@ impl Calibration {
     /// * `quadrant` of the estimate
     pub fn reach(&self, coverage: f64, quadrant: usize) -> f64 {
         let own = &self.scores[quadrant];
-        if own.len() >= FEWEST {
-            return quantile(own, coverage);
+        let pooled;
+        let scores = if own.len() >= FEWEST {
+            own
+        } else {
+            let mut all = self.scores.concat();
+            all.sort_by(f64::total_cmp);
+            pooled = all;
+            &pooled
+        };
+        let reach = quantile(scores, coverage);
+        if reach < REFUSED_SCORE {
+            return reach;
         }
-        let mut all = self.scores.concat();
-        all.sort_by(f64::total_cmp);
-        quantile(&all, coverage)
+        // more is asked for than tests are explained: as far as any of them reaches
+        let explained = scores.iter().rev().find(|s| **s < REFUSED_SCORE);
+        explained.copied().unwrap_or(UNCALIBRATED.0)
     }
 
     /// Greatest misfit that is not called unexplained.
@@ -112,8 +126,14 @@ impl Calibration {
             return Err(Error::bad(file, "fingerprint of the maps", &c.maps, allowed));
         }
         let rising = |v: &[f64]| v.iter().all(|x| x.is_finite()) && v.is_sorted();
-        if c.misfits.is_empty() || !c.scores.iter().all(|v| rising(v)) || !rising(&c.misfits) || !rising(&c.deviations) {
-            return Err(Error::bad(file, "scores", "not rising numbers", "a file written by ema calibrate"));
+        if c.misfits.is_empty() || !c.scores.iter().all(|v| rising(v)) || !rising(&c.misfits) || !rising(&c.deviations)
+        {
+            return Err(Error::bad(
+                file,
+                "scores",
+                "not rising numbers",
+                "a file written by ema calibrate",
+            ));
         }
         Ok(c)
     }
@@ -173,7 +193,9 @@ mod tests {
         // scores spread evenly over 0 to 1: the quantile is the coverage
         let mut state = 1u64;
         let mut draw = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 11) as f64 / (1u64 << 53) as f64
         };
         let trials = 400;

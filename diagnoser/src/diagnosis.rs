@@ -8,10 +8,10 @@
 //! All of them lie inside every single map's band of half-width `sqrt(Q_min + reach^2)` standard
 //! uncertainties: these bands are the paper's (5.1).
 
-use crate::calibration::{Calibration, WITNESS_GATE, uncalibrated};
 pub use crate::calibration::COVERAGE;
+use crate::calibration::{Calibration, WITNESS_GATE, uncalibrated};
 use crate::curves::Cut;
-use crate::estimate::{Estimate, Estimator};
+use crate::estimate::{CovarianceParts, Estimate, Estimator};
 use crate::failure_map::{FailureMap, FailureMapSet};
 use crate::paving::{Goal, Paver, Paving};
 use crate::uncertainty::{MOST, Row};
@@ -157,11 +157,20 @@ pub type Known = Vec<(Cause, f64)>;
 pub fn parse_known(text: &[String], actuator: &ActuatorParameters, rest_angle_rad: f64) -> Result<Known> {
     let keys = || Cause::ALL.map(Cause::known_key).join(", ");
     let one = |t: &String| {
-        let bad = |found: &str| Error::bad("command line", "--known", found, format!("KEY=NUMBER, KEY one of {}", keys()));
+        let bad = |found: &str| {
+            Error::bad(
+                "command line",
+                "--known",
+                found,
+                format!("KEY=NUMBER, KEY one of {}", keys()),
+            )
+        };
         let (key, value) = t.split_once('=').ok_or_else(|| bad(t))?;
         let cause = Cause::ALL.into_iter().find(|c| c.known_key() == key.trim());
         let value = value.trim().parse::<f64>().ok().filter(|x| x.is_finite());
-        let (Some(cause), Some(value)) = (cause, value) else { return Err(bad(t)) };
+        let (Some(cause), Some(value)) = (cause, value) else {
+            return Err(bad(t));
+        };
         Ok((cause, cause.deviation(actuator, rest_angle_rad, value)))
     };
     text.iter().map(one).collect()
@@ -277,6 +286,11 @@ impl Diagnoser {
         }
         parts.retain(|(_, u)| *u > 0.0);
         parts
+    }
+
+    /// Covariance of the joint features at a fault pair, by its parts.
+    pub fn covariance_parts(&self, fsj: f64, zeta: f64) -> CovarianceParts {
+        self.estimator.covariance_parts(fsj, zeta)
     }
 
     pub fn coverage(&self) -> f64 {
@@ -401,7 +415,10 @@ impl Diagnoser {
         }
         let word = |&(f, found, expected, z): &(Feature, f64, f64, f64)| {
             let (name, unit) = (f.name(), f.unit());
-            format!("{name} is {found:.4e} {unit} instead of {expected:.4e} ({:.1} u)", z.abs())
+            format!(
+                "{name} is {found:.4e} {unit} instead of {expected:.4e} ({:.1} u)",
+                z.abs()
+            )
         };
         let words: Vec<String> = odd.iter().map(word).collect();
         Some(Outcome::Unexplained {

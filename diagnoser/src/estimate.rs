@@ -6,6 +6,7 @@ use crate::failure_map::{FailureMap, FailureMapSet};
 use crate::paving::{Joint, Lattice, Limits};
 use crate::uncertainty::{MOST, PreparedSurfaces, ResponseSurfaces, Row};
 use schemas::feature::{Feature, Features};
+use sim_worker::spread::Cause;
 
 /// Lattice lines between two lines of the grid: what is bilinear between them departs from the monotone
 /// cubic by a sixteenth of what it would on the grid itself.
@@ -21,6 +22,9 @@ const STARTS: usize = 13;
 const AGAIN: usize = 6;
 
 const MOST_STEPS: usize = 30;
+
+/// First steps of a descent after which the covariance is made anew; later ones are short.
+const COVARIANCES: usize = 2;
 
 /// Smallest uncertainty as a share of a map's range, so that nothing is divided by zero.
 const FLOOR: f64 = 1e-7;
@@ -49,6 +53,15 @@ struct Start {
     weight: Row,
 }
 
+/// Covariance of the joint features at a fault pair, by its parts, in their units.
+#[derive(Clone, Debug)]
+pub struct CovarianceParts {
+    /// variance that a feature shares with no other
+    pub own: Row,
+    /// causes that are not known: change of each feature for one standard deviation of the cause
+    pub common: Vec<(Cause, Row)>,
+}
+
 /// Maps and covariances of one actuator, made ready.
 #[derive(Clone, Debug)]
 pub struct Estimator {
@@ -58,6 +71,8 @@ pub struct Estimator {
     variances: Vec<Row>,
     /// common causes that are not known: slopes for one standard deviation
     causes: Option<PreparedSurfaces>,
+    /// which those are, in the same order
+    unknown: Vec<Cause>,
     /// those that are known: slopes for their deviation
     known: Option<PreparedSurfaces>,
     limits: Limits,
@@ -113,12 +128,9 @@ impl Estimator {
         let witness_names: Vec<Feature> = witnesses.iter().map(|w| w.feature).collect();
         let mut witness_remainder = [0.0; MOST];
         for (r, f) in witness_remainder.iter_mut().zip(&witness_names) {
-            *r = surfaces
-                .and_then(|s| s.remainder.get(f.name()))
-                .copied()
-                .unwrap_or(0.0);
+            *r = surfaces.and_then(|s| s.remainder.get(f.name())).copied().unwrap_or(0.0);
         }
-        let ((causes, known), (witness_causes, witness_known)) = match (calibration, surfaces) {
+        let (unknown, (causes, known), (witness_causes, witness_known)) = match (calibration, surfaces) {
             (Some(c), Some(s)) => {
                 let unknown: Vec<_> = c
                     .spread()
@@ -129,15 +141,17 @@ impl Estimator {
                     .collect();
                 let prepared = |of: &[Feature], list: &[_]| (!list.is_empty()).then(|| s.prepared(of, list));
                 let both = |of: &[Feature]| (prepared(of, &unknown), prepared(of, known));
-                (both(&features), both(&witness_names))
+                let names = unknown.iter().map(|(c, _)| *c).collect();
+                (names, both(&features), both(&witness_names))
             }
-            _ => ((None, None), (None, None)),
+            _ => (Vec::new(), (None, None), (None, None)),
         };
         let mut estimator = Self {
             features,
             lattice,
             variances,
             causes,
+            unknown,
             known,
             limits,
             starts: Vec::new(),
@@ -216,6 +230,15 @@ impl Estimator {
     pub fn uncertainty(&self, feature: Feature, fsj: f64, zeta: f64) -> Option<f64> {
         let k = self.features.iter().position(|&f| f == feature)?;
         Some((self.variance(fsj, zeta)[k] + self.common_variance(k, fsj, zeta)).sqrt())
+    }
+
+    /// What the covariance at a fault pair is made of: `C = diag(own) + sum of common common^T`.
+    pub fn covariance_parts(&self, fsj: f64, zeta: f64) -> CovarianceParts {
+        let rows = self.causes.iter().flat_map(|c| c.at(fsj, zeta));
+        CovarianceParts {
+            own: self.variance(fsj, zeta),
+            common: self.unknown.iter().copied().zip(rows).collect(),
+        }
     }
 
     /// The inverse of the Cholesky factor of the covariance at a fault pair, of the features that are
@@ -322,13 +345,14 @@ impl Estimator {
                 (fsj + df).clamp(f_range.0, f_range.1),
                 (zeta + dz).clamp(z_range.0, z_range.1),
             );
-            let moved = ((to.0 - fsj) / (f_range.1 - f_range.0)).abs() + ((to.1 - zeta) / (z_range.1 - z_range.0)).abs();
+            let moved =
+                ((to.0 - fsj) / (f_range.1 - f_range.0)).abs() + ((to.1 - zeta) / (z_range.1 - z_range.0)).abs();
             let z_new = self.residual(values, &e, to.0, to.1);
             let new = dot(&z_new, &z_new);
             if new <= e.misfit {
                 (fsj, zeta) = to;
                 damping *= 0.2;
-                if step < 6 && moved > 1e-4 {
+                if step < COVARIANCES && moved > 1e-4 {
                     e = self.at(values, fsj, zeta);
                 } else {
                     (e.fsj, e.zeta, e.misfit) = (fsj, zeta, new);

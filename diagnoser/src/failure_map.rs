@@ -177,24 +177,7 @@ impl FailureMap {
     fn interpolation_error(&self) -> Vec<f64> {
         let (rows, columns) = (self.zeta.len(), self.fsj.len());
         let (fine, coarse) = (self.leave_one_out(1), self.leave_one_out(2));
-        let quantile = |v: &[f64], q: f64| {
-            let mut v: Vec<f64> = v.iter().copied().filter(|e| *e > 0.0).collect();
-            v.sort_by(f64::total_cmp);
-            v.get((v.len().saturating_sub(1) as f64 * q).round() as usize)
-                .copied()
-                .unwrap_or(0.0)
-        };
-        // the greatest errors may be curvature, which falls with the spacing, and the usual ones
-        // scatter of the switching, which does not: the worse of both is believed
-        let ratio = |q: f64| {
-            let (fine, coarse) = (quantile(&fine, q), quantile(&coarse, q));
-            if coarse > 0.0 {
-                (fine / coarse).clamp(SMOOTH_SHARE, 1.0)
-            } else {
-                1.0
-            }
-        };
-        let share = ratio(0.95).max(ratio(0.5));
+        let share = smoothness(&fine, &coarse);
         let fine = &fine;
         let around = |k: usize, n: usize| k.saturating_sub(NEIGHBOURS)..=(k + NEIGHBOURS).min(n - 1);
         let at = |i: usize| {
@@ -258,7 +241,7 @@ impl FailureMap {
 
     /// Errors at the grid points when each is left out in turn, along FSJ and along zeta, the larger
     /// of the two; 0 at the rim. `stride` 2 uses every second line and point.
-    fn leave_one_out(&self, stride: usize) -> Vec<f64> {
+    pub(crate) fn leave_one_out(&self, stride: usize) -> Vec<f64> {
         let (rows, columns) = (self.zeta.len(), self.fsj.len());
         let mut out = vec![0.0_f64; self.value.len()];
         let mut line = |x: &[f64], index: &dyn Fn(usize) -> usize| {
@@ -361,6 +344,11 @@ impl FailureMap {
     /// Standard uncertainty of the map alone at a fault pair: interpolation and projection.
     pub fn error_at(&self, fsj: f64, zeta: f64) -> f64 {
         self.table_at(&self.error, fsj, zeta)
+    }
+
+    /// What the projection changed at a fault pair, bilinear between the grid points.
+    pub fn residual_at(&self, fsj: f64, zeta: f64) -> f64 {
+        self.table_at(&self.residual, fsj, zeta)
     }
 
     fn with_noise(&self, error: f64) -> f64 {
@@ -466,8 +454,31 @@ impl FailureMap {
     }
 }
 
+/// What halving the spacing leaves of an interpolation error, judged by leave-one-out errors on the grid
+/// and on every second line of it: [`SMOOTH_SHARE`] (smooth) to 1 (scatter).
+pub(crate) fn smoothness(fine: &[f64], coarse: &[f64]) -> f64 {
+    let quantile = |v: &[f64], q: f64| {
+        let mut v: Vec<f64> = v.iter().copied().filter(|e| *e > 0.0).collect();
+        v.sort_by(f64::total_cmp);
+        v.get((v.len().saturating_sub(1) as f64 * q).round() as usize)
+            .copied()
+            .unwrap_or(0.0)
+    };
+    // the greatest errors may be curvature, which falls with the spacing, and the usual ones
+    // scatter of the switching, which does not: the worse of both is believed
+    let ratio = |q: f64| {
+        let (fine, coarse) = (quantile(fine, q), quantile(coarse, q));
+        if coarse > 0.0 {
+            (fine / coarse).clamp(SMOOTH_SHARE, 1.0)
+        } else {
+            1.0
+        }
+    };
+    ratio(0.95).max(ratio(0.5))
+}
+
 /// 0 of nothing.
-fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
+pub(crate) fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, n) = values.fold((0.0, 0), |(s, n), x| (s + x * x, n + 1));
     if n == 0 { 0.0 } else { (sum / f64::from(n)).sqrt() }
 }

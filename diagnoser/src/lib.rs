@@ -13,6 +13,7 @@ pub mod log;
 pub mod map_library;
 pub mod monotone;
 pub mod paving;
+pub mod quality;
 pub mod receive;
 pub mod record;
 pub mod report;

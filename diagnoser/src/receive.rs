@@ -1,8 +1,8 @@
 //! The live diagnoser as a process: frames from shared memory, diagnoses to a second service, to
 //! a log and to a screen.
 
-use crate::diagnosis::Outcome;
 use crate::diagnosis::Diagnoser;
+use crate::diagnosis::Outcome;
 use crate::live::{Known, Live};
 use crate::log::Log;
 use crate::map_library::MapKey;

@@ -220,7 +220,12 @@ pub fn to_batch(rows: &[Logged]) -> RecordBatch {
         let column = number(&|r| r.report.diagnosis.outcome.area().map(f));
         add(name, DataType::Float64, true, column);
     }
-    add("coverage", DataType::Float64, false, number(&|r| Some(r.report.diagnosis.coverage)));
+    add(
+        "coverage",
+        DataType::Float64,
+        false,
+        number(&|r| Some(r.report.diagnosis.coverage)),
+    );
     for f in Feature::every() {
         let column = number(&|r| r.report.diagnosis.features.get(f));
         add(f.key(), DataType::Float64, true, column);

@@ -25,7 +25,18 @@ type Slope = [f64; TERMS];
 
 /// Terms at scaled faults.
 fn terms(u: f64, v: f64) -> Slope {
-    [1.0, u, v, u * u, u * v, v * v, u * u * u, u * u * v, u * v * v, v * v * v]
+    [
+        1.0,
+        u,
+        v,
+        u * u,
+        u * v,
+        v * v,
+        u * u * u,
+        u * u * v,
+        u * v * v,
+        v * v * v,
+    ]
 }
 
 /// Faults scaled to -1 to 1 over the range that the maps cover.
@@ -206,7 +217,13 @@ mod tests {
             zeta: (0.0, 0.5),
         };
         let slope = |f: f64, z: f64| 0.3 + 0.1 * f - 0.7 * z * f;
-        let number = |i: usize, k: usize| ((i * 7919 + k * 104_729 + 13) % 1000) as f64 / 1000.0;
+        // 0 to 1 (Steele et al. 2014, SplitMix)
+        let number = |i: usize, k: usize| {
+            let mut x = ((8 * i + k) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+            ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        };
         let samples: Vec<Sample> = (0..400)
             .map(|i| {
                 let (fsj, zeta) = (1.0 + 4.0 * number(i, 1), 0.5 * number(i, 2));

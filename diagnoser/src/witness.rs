@@ -179,7 +179,11 @@ mod tests {
             // of the phase pair that carries it here: shapes by the module's own convention
             let unit = [[1.0, -1.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, -1.0]]
                 .into_iter()
-                .max_by(|a, b| torque_current(2.0, theta, *a).abs().total_cmp(&torque_current(2.0, theta, *b).abs()))
+                .max_by(|a, b| {
+                    torque_current(2.0, theta, *a)
+                        .abs()
+                        .total_cmp(&torque_current(2.0, theta, *b).abs())
+                })
                 .unwrap();
             let per = torque_current(2.0, theta, unit);
             columns[0][i] = theta;

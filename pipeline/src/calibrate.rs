@@ -3,8 +3,8 @@
 
 use crate::generate::COMMIT;
 use anyhow::Result;
-use diagnoser::calibration::{COVERAGE, Calibration, uncalibrated};
-use diagnoser::diagnosis::Diagnoser;
+use diagnoser::calibration::{COVERAGE, Calibration, REFUSED_SCORE, uncalibrated};
+use diagnoser::diagnosis::{Diagnoser, Score};
 use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
 use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
 use diagnoser::uncertainty::{ResponseSurfaces, Sample, Scale, deviations};
@@ -67,9 +67,24 @@ impl TestKind {
     ) -> Result<Self> {
         let sensors_found = sensors.as_ref().map_or("none".into(), SensorModel::fingerprint);
         let pairs = [
-            ("parameter fingerprint", &header.parameters, actuator.fingerprint(), "--actuator"),
-            ("sequence fingerprint", &header.sequence_fingerprint, sequence.fingerprint(), "--sequence"),
-            ("fingerprint of the sensors", &header.sensors, sensors_found, "--sensors"),
+            (
+                "parameter fingerprint",
+                &header.parameters,
+                actuator.fingerprint(),
+                "--actuator",
+            ),
+            (
+                "sequence fingerprint",
+                &header.sequence_fingerprint,
+                sequence.fingerprint(),
+                "--sequence",
+            ),
+            (
+                "fingerprint of the sensors",
+                &header.sensors,
+                sensors_found,
+                "--sensors",
+            ),
         ];
         for (place, found, wanted, option) in pairs {
             if *found != wanted {
@@ -231,17 +246,21 @@ impl Campaign {
             surfaces: self.surfaces(set),
         };
         let diagnoser = Diagnoser::new(set.clone(), Some(calibration.clone()), COVERAGE, &Vec::new())?;
-        calibration.misfits.clear();
-        for (u, raw) in self.scores.0.iter().zip(&self.scores.1) {
-            let Some(score) = diagnoser.score(&set.features(raw), u.fault.fsj, u.fault.zeta) else {
-                continue;
-            };
-            calibration.misfits.push(score.misfit);
-            calibration.deviations.push(score.deviation);
-            calibration.scores[score.quadrant].push(score.reach);
+        let score = |(u, raw): (&Unit, &RawFeatures)| diagnoser.score(&set.features(raw), u.fault.fsj, u.fault.zeta);
+        let tests = self.scores.0.iter().zip(&self.scores.1);
+        let scores: Vec<Score> = tests.filter_map(score).collect();
+        let sorted = |f: fn(&Score) -> f64| {
+            let mut v: Vec<f64> = scores.iter().map(f).collect();
+            v.sort_by(f64::total_cmp);
+            v
+        };
+        calibration.misfits = sorted(|s| s.misfit);
+        calibration.deviations = sorted(|s| s.deviation);
+        let (gate, witness_gate) = (calibration.gate(), calibration.witness_gate());
+        for s in &scores {
+            let refused = s.misfit > gate || s.deviation > witness_gate;
+            calibration.scores[s.quadrant].push(if refused { REFUSED_SCORE } else { s.reach });
         }
-        calibration.misfits.sort_by(f64::total_cmp);
-        calibration.deviations.sort_by(f64::total_cmp);
         calibration.scores.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
         Ok(calibration)
     }
@@ -273,12 +292,7 @@ pub fn range(set: &FailureMapSet) -> ((f64, f64), (f64, f64)) {
 }
 
 /// Calibrates maps for a spread. `Ok(None)` where it was interrupted.
-pub fn calibrate(
-    set: &FailureMapSet,
-    kind: &TestKind,
-    spread: &Spread,
-    effort: Effort,
-) -> Result<Option<Calibration>> {
+pub fn calibrate(set: &FailureMapSet, kind: &TestKind, spread: &Spread, effort: Effort) -> Result<Option<Calibration>> {
     let (fsj, zeta) = range(set);
     let campaign = Campaign::run(kind, spread, effort, fsj, zeta)?;
     campaign.map(|c| c.calibrate(set)).transpose()

@@ -221,7 +221,10 @@ fn coverage(case: &Case) -> String {
             } else {
                 format!("of units of spread `{}`", c.spread)
             };
-            format!("coverage  {percent:.1} %, calibrated on {} simulated tests {of}", c.runs)
+            format!(
+                "coverage  {percent:.1} %, calibrated on {} simulated tests {of}",
+                c.runs
+            )
         }
         None => format!("coverage  {percent:.1} % by design, not calibrated (ema calibrate)"),
     }

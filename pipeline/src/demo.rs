@@ -1,7 +1,7 @@
 //! `ema demo`: grid, maps, the four cases of the paper's Table I, and a report.
 
-use crate::case::{self, Settings};
 use crate::calibrate::{Effort, TestKind, calibrate};
+use crate::case::{self, Settings};
 use crate::generate::{COMMIT, Plan, generate};
 use crate::maps;
 use crate::report::{self, Figure, Report, Section, Table, TableRow};

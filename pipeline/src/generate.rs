@@ -184,7 +184,8 @@ impl FeatureSink {
 
     /// Mean and standard deviation over the seeds, in the order of [`RawFeatures::COLUMNS`].
     fn result(&self) -> [(Option<f64>, f64); RawFeatures::COUNT] {
-        let all: Vec<[Option<f64>; RawFeatures::COUNT]> = self.extractors.iter().map(|x| x.features().values()).collect();
+        let all: Vec<[Option<f64>; RawFeatures::COUNT]> =
+            self.extractors.iter().map(|x| x.features().values()).collect();
         std::array::from_fn(|k| {
             let values: Option<Vec<f64>> = all.iter().map(|v| v[k]).collect();
             let Some(v) = values else { return (None, 0.0) };

@@ -89,8 +89,16 @@ pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Di
     // a calibration that cannot be used is made anew
     if !matches!(choice.calibration(&file, &set), Ok(Some(_))) {
         let kind = request.kind();
-        let n = Effort::QUICK.runs + if choice.spread.is_none() { 0 } else { Effort::QUICK.surface_runs };
-        note(&format!("calibrating the maps ({n} runs, spread {})", choice.spread.name));
+        let n = Effort::QUICK.runs
+            + if choice.spread.is_none() {
+                0
+            } else {
+                Effort::QUICK.surface_runs
+            };
+        note(&format!(
+            "calibrating the maps ({n} runs, spread {})",
+            choice.spread.name
+        ));
         let made = calibrate(&set, &kind, &choice.spread, Effort::QUICK)?.ok_or(crate::Interrupted)?;
         made.save(&choice.calibration_file(&file))?;
     }

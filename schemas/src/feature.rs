@@ -96,7 +96,9 @@ impl Feature {
     pub fn unit(self) -> &'static str {
         match self {
             Feature::P1 | Feature::Ripple | Feature::SpeedLoss => "rad/s",
-            Feature::P2 | Feature::CurrentRms | Feature::CurrentSum | Feature::EvenCurrent | Feature::BiasCurrent => "A",
+            Feature::P2 | Feature::CurrentRms | Feature::CurrentSum | Feature::EvenCurrent | Feature::BiasCurrent => {
+                "A"
+            }
             Feature::P3 | Feature::CurrentImbalance => "-",
             Feature::SineTravel => "rad",
             Feature::Rise => "s",

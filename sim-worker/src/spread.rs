@@ -173,9 +173,7 @@ impl Spread {
                     Cause::Resistance => a.phase_resistance_ohm *= 1.0 + x,
                     Cause::BackEmf => a.back_emf_v_s_per_rad *= 1.0 + x,
                     Cause::Inertia => a.inertia_kg_m2 *= 1.0 + x,
-                    Cause::DynamicRatio => {
-                        a.dynamic_friction_ratio = (a.dynamic_friction_ratio * (1.0 + x)).min(1.0)
-                    }
+                    Cause::DynamicRatio => a.dynamic_friction_ratio = (a.dynamic_friction_ratio * (1.0 + x)).min(1.0),
                     Cause::Supply => a.supply_voltage_v *= 1.0 + x,
                     Cause::RestAngle => rest += x,
                     Cause::Temperature => unreachable!("acts through others"),

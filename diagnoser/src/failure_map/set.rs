@@ -1,6 +1,6 @@
 //! The maps of one actuator, saved and loaded together.
 
-use super::{MapBudget, FailureMap};
+use super::{FailureMap, MapBudget};
 use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Float64Type, Schema};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
@@ -215,16 +215,7 @@ impl FailureMapSet {
             }
             let direction = stored.directions.get(feature.name()).copied();
             let direction = direction.ok_or_else(|| Error::bad(&file, "directions", "nothing", feature.name()))?;
-            let mut map = FailureMap::build(
-                &file,
-                feature,
-                direction,
-                &fsj,
-                &zeta,
-                raw,
-                budget.noise,
-                budget.sample,
-            )?;
+            let mut map = FailureMap::build(&file, feature, direction, &fsj, &zeta, raw, budget.noise, budget.sample)?;
             map.budget = budget;
             maps.push(map);
         }

@@ -20,7 +20,7 @@ pub struct CalibrateArgs {
     #[arg(long, default_value = "none")]
     spread: String,
     /// Tests that the reach of the intervals comes from
-    #[arg(long, default_value_t = 2048, value_parser = clap::value_parser!(u64).range(64..=1_000_000))]
+    #[arg(long, default_value_t = 4096, value_parser = clap::value_parser!(u64).range(64..=1_000_000))]
     runs: u64,
     /// Further tests that the response to the spread comes from
     #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u64).range(256..=1_000_000))]
@@ -56,7 +56,11 @@ pub fn calibrate(a: &CalibrateArgs) -> Result<ExitCode> {
         coverage: a.coverage,
     };
     let sequence = sim_worker::datasets::sequence(a.sequence.as_deref().unwrap_or(&set.header.sequence))?;
-    let usual = if set.header.sensors == "none" { "none" } else { "reference" };
+    let usual = if set.header.sensors == "none" {
+        "none"
+    } else {
+        "reference"
+    };
     let sensors = sim_worker::datasets::sensors(a.sensors.as_deref().unwrap_or(usual))?;
     let kind = TestKind::of(&file, &set.header, a.actuator.read()?, sequence, sensors)?;
     let effort = Effort {

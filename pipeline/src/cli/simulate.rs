@@ -4,6 +4,9 @@ use super::{ActuatorArg, say};
 use crate::generate::{Plan, generate};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
+use diagnoser::calibration::COVERAGE;
+use diagnoser::map_library::Choice;
+use diagnoser::quality::MapQuality;
 use schemas::error::Error;
 use schemas::recording::{Provenance, metadata};
 use sim_worker::simulate::Experiment;
@@ -107,6 +110,16 @@ pub struct MapsArgs {
     /// Sequence of the dataset, if it is a TOML file of your own
     #[arg(long)]
     sequence: Option<String>,
+    /// Report on the maps: shape, sensitivity, whether they tell FSJ from zeta cell by cell, convergence of the grid,
+    /// and what to add next
+    #[arg(long)]
+    quality: bool,
+    /// Spread that the report allows for: none, fleet, or a TOML file; needs its calibration (ema calibrate)
+    #[arg(long, default_value = "none", requires = "quality")]
+    spread: String,
+    /// The report with keys for programs, every cell included
+    #[arg(long, requires = "quality")]
+    json: bool,
     #[command(flatten)]
     actuator: ActuatorArg,
 }
@@ -125,17 +138,31 @@ pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
     let set = crate::maps::build(&a.dataset, &sequence, &actuator, false, rest, a.lenient)?;
     let out = a.out.clone().unwrap_or_else(|| a.dataset.join("maps.parquet"));
     set.save(&out)?;
+    if a.quality {
+        let choice = Choice {
+            spread: sim_worker::datasets::spread(&a.spread)?,
+            coverage: COVERAGE,
+        };
+        let quality = MapQuality::of(&choice.ready(&out, set, &Vec::new())?);
+        if a.json {
+            say(&quality.to_json().to_string());
+        } else {
+            say(&quality.to_text());
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
     for m in &set.maps {
         let (lo, hi) = m.range();
         let b = &m.budget;
         let residual = m.residual.iter().fold(0.0_f64, |a, &b| a.max(b));
         say(&format!(
-            "{:7} {lo:.4e} .. {hi:.4e} {:5}  half-width: noise 3 x {:.1e}, interpolation {:.1e}, sample {:.1e}, projection up to {residual:.1e}",
+            "{:11} {lo:.4e} .. {hi:.4e} {:5}  standard uncertainties: sensors {:.1e}, interpolation {:.1e}, one sample {:.1e}, projection up \
+             to {residual:.1e}",
             m.feature.name(),
             m.feature.unit(),
             b.noise,
             b.interpolation,
-            b.sample
+            b.sample / 3f64.sqrt()
         ));
     }
     for l in &set.header.left_out {

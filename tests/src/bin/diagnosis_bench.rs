@@ -1,5 +1,6 @@
-//! `cargo run --release -p ema-tests --bin diagnosis-bench [OUT.md]`: coverage, widths, errors, silent misses
-//! and time of diagnoses, on tests that maps and calibration have not seen. Takes some minutes.
+//! `cargo run --release -p ema-tests --bin diagnosis-bench -- [--tests N] [--seed N] [--coverage] [--record OUT.md]`:
+//! coverage, widths, errors, silent misses and time of diagnoses, on tests that maps and calibration have
+//! not seen. Takes some minutes; `--coverage` ends after the coverage.
 
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
@@ -9,27 +10,56 @@ use pipeline::calibrate::{Campaign, Effort};
 use schemas::feature::Feature;
 use std::fmt::Write;
 
-const TESTS: usize = 1000;
 const DEFECTS: usize = 200;
 const EFFORT: Effort = Effort {
-    runs: 2048,
+    runs: 4096,
     surface_runs: 1024,
     seed: 0,
 };
 
+struct Options {
+    tests: usize,
+    seed: u64,
+    coverage_only: bool,
+    record: Option<String>,
+}
+
+impl Options {
+    fn parse(mut args: impl Iterator<Item = String>) -> Result<Self> {
+        let mut options = Self {
+            tests: 1000,
+            seed: 1,
+            coverage_only: false,
+            record: None,
+        };
+        while let Some(arg) = args.next() {
+            let mut value = || args.next().with_context(|| format!("{arg} needs a value"));
+            match arg.as_str() {
+                "--tests" => options.tests = value()?.parse()?,
+                "--seed" => options.seed = value()?.parse()?,
+                "--record" => options.record = Some(value()?),
+                "--coverage" => options.coverage_only = true,
+                _ => anyhow::bail!("{arg}: --tests N, --seed N, --coverage, --record FILE"),
+            }
+        }
+        Ok(options)
+    }
+}
+
 fn main() -> Result<()> {
+    let options = Options::parse(std::env::args().skip(1))?;
     let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
-    let text = bench(&cache);
+    let text = bench(&cache, &options);
     let _ = std::fs::remove_dir_all(&cache);
     let text = text?;
-    if let Some(path) = std::env::args().nth(1) {
-        std::fs::write(&path, &text).context(path)?;
+    if let Some(path) = &options.record {
+        std::fs::write(path, &text).with_context(|| path.clone())?;
     }
     print!("{text}");
     Ok(())
 }
 
-fn bench(cache: &std::path::Path) -> Result<String> {
+fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
     let (set, kind) = reference_maps(&cache.join("maps"), "fine", 0.0)?;
     let mut out = String::from("# Diagnoses held against what they promise\n\n");
     let _ = writeln!(
@@ -67,10 +97,13 @@ fn bench(cache: &std::path::Path) -> Result<String> {
     for name in ["none", "fleet"] {
         let spread = sim_worker::datasets::spread(name)?;
         let campaign = Campaign::run(&kind, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
-        let (units, measured) = fresh(&kind, &spread, TESTS, 1)?;
+        let (units, measured) = fresh(&kind, &spread, options.tests, options.seed)?;
         let diagnoser = calibrated(&set, &campaign)?;
         let cases = judge(&diagnoser, &units, &measured);
         out += &record::coverage(&format!("Spread {name}"), &cases);
+        if options.coverage_only {
+            continue;
+        }
         let (us, us_95) = record::time_us(&diagnoser, &units, &measured);
         let _ = writeln!(
             times,
@@ -88,6 +121,9 @@ fn bench(cache: &std::path::Path) -> Result<String> {
         }
         tables.push('\n');
         tables += &defect_table(&diagnoser, &kind, name)?;
+    }
+    if options.coverage_only {
+        return Ok(out);
     }
     out += &tables;
     let _ = writeln!(
@@ -129,9 +165,8 @@ fn at_random_angles(cache: &std::path::Path) -> Result<String> {
         let (units, measured) = fresh(&kind, &spread, 200, degrees as u64)?;
         let cases = judge(&calibrated(&set, &campaign)?, &units, &measured);
         let inside = cases.iter().filter(|c| c.inside).count();
-        let width = |f: fn((f64, f64), f64) -> f64| {
-            quantile(cases.iter().filter_map(|c| Some(f(c.found?.0, c.fsj))), 0.5)
-        };
+        let width =
+            |f: fn((f64, f64), f64) -> f64| quantile(cases.iter().filter_map(|c| Some(f(c.found?.0, c.fsj))), 0.5);
         let _ = writeln!(
             out,
             "| {degrees} deg | {} | {} | {:.3} % | {:.5} |",

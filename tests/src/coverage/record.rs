@@ -18,9 +18,14 @@ pub fn coverage(title: &str, cases: &[Case]) -> String {
     let inside = cases.iter().filter(|c| c.inside).count();
     let _ = writeln!(out, "### {title} ({n} tests)\n");
     let _ = writeln!(out, "- true pair in both intervals: {} %", percent(inside, n));
-    for (q, name) in ["FSJ low, zeta low", "FSJ high, zeta low", "FSJ low, zeta high", "FSJ high, zeta high"]
-        .into_iter()
-        .enumerate()
+    for (q, name) in [
+        "FSJ low, zeta low",
+        "FSJ high, zeta low",
+        "FSJ low, zeta high",
+        "FSJ high, zeta high",
+    ]
+    .into_iter()
+    .enumerate()
     {
         let of: Vec<&Case> = cases.iter().filter(|c| quadrant(c) == q).collect();
         let inside = of.iter().filter(|c| c.inside).count();
@@ -109,5 +114,8 @@ pub fn time_us(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) 
             std::hint::black_box(d);
         }
     }
-    (quantile(times.iter().copied(), 0.5), quantile(times.iter().copied(), 0.95))
+    (
+        quantile(times.iter().copied(), 0.5),
+        quantile(times.iter().copied(), 0.95),
+    )
 }
