@@ -4,6 +4,7 @@ mod set;
 
 use crate::isotonic::monotone_surface;
 use crate::monotone;
+use crate::smooth::{Smoothed, smoothed};
 use schemas::error::{Error, Result};
 use schemas::feature::Feature;
 use serde::{Deserialize, Serialize};
@@ -32,10 +33,6 @@ pub struct MapBudget {
     pub sample: f64,
 }
 
-/// Grid points around a leave-one-out error, each way, over which it is averaged: a single one may be
-/// small by chance.
-const NEIGHBOURS: usize = 2;
-
 /// One feature over the fault grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FailureMap {
@@ -46,10 +43,10 @@ pub struct FailureMap {
     pub zeta: Vec<f64>,
     /// simulated values, zeta outer, FSJ inner
     pub raw: Vec<f64>,
-    /// the nearest monotone surface
+    /// the nearest monotone surface to what is left of them without scatter
     pub value: Vec<f64>,
     pub budget: MapBudget,
-    /// |raw - value| at each grid point
+    /// what the projection changed at each grid point
     pub residual: Vec<f64>,
     /// standard uncertainty of the map at each grid point: interpolation around it and projection
     pub error: Vec<f64>,
@@ -146,7 +143,11 @@ impl FailureMap {
                 allowed,
             ));
         }
-        let residual: Vec<f64> = raw.iter().zip(&value).map(|(a, b)| (a - b).abs()).collect();
+        let smooth = smooth(fsj, zeta, &raw);
+        let values: Vec<f64> = smooth.iter().map(|s| s.value).collect();
+        let value = monotone_surface(&values, zeta.len(), columns, direction);
+        let residual: Vec<f64> = values.iter().zip(&value).map(|(a, b)| (a - b).abs()).collect();
+        let error = smooth.iter().zip(&residual).map(|(s, r)| s.error.hypot(*r)).collect();
         let mut map = Self {
             feature,
             direction,
@@ -156,36 +157,16 @@ impl FailureMap {
             value,
             budget: MapBudget {
                 noise,
-                interpolation: 0.0,
+                interpolation: root_mean_square(smooth.iter().map(|s| s.error)),
                 projection: root_mean_square(residual.iter().copied()),
                 sample,
             },
-            error: Vec::new(),
+            error,
             residual,
             slope: Vec::new(),
         };
         map.slope = map.slopes_across();
-        let interpolation = map.interpolation_error();
-        map.budget.interpolation = root_mean_square(interpolation.iter().copied());
-        let both = interpolation.iter().zip(&map.residual).map(|(a, b)| a.hypot(*b));
-        map.error = both.collect();
         Ok(map)
-    }
-
-    /// Standard uncertainty of the interpolation at each grid point: leave-one-out errors of the points
-    /// around it, brought to the grid's own spacing.
-    fn interpolation_error(&self) -> Vec<f64> {
-        let (rows, columns) = (self.zeta.len(), self.fsj.len());
-        let (fine, coarse) = (self.leave_one_out(1), self.leave_one_out(2));
-        let share = smoothness(&fine, &coarse);
-        let fine = &fine;
-        let around = |k: usize, n: usize| k.saturating_sub(NEIGHBOURS)..=(k + NEIGHBOURS).min(n - 1);
-        let at = |i: usize| {
-            let (r, c) = (i / columns, i % columns);
-            let near = around(r, rows).flat_map(|r| around(c, columns).map(move |c| fine[r * columns + c]));
-            share * root_mean_square(near.filter(|e| *e > 0.0))
-        };
-        (0..fine.len()).map(at).collect()
     }
 
     /// A surface that need not be monotone: what a witness should be. Faults are not located by it.
@@ -193,32 +174,31 @@ impl FailureMap {
         if !raw.iter().all(|v| v.is_finite()) || fsj.len() < 2 || zeta.len() < 2 {
             return None;
         }
+        let smooth = smooth(fsj, zeta, &raw);
         let mut map = Self {
             feature,
             direction: (1.0, 1.0),
             fsj: fsj.into(),
             zeta: zeta.into(),
-            value: raw.clone(),
+            value: smooth.iter().map(|s| s.value).collect(),
             budget: MapBudget {
                 noise,
-                interpolation: 0.0,
+                interpolation: root_mean_square(smooth.iter().map(|s| s.error)),
                 projection: 0.0,
                 sample: 0.0,
             },
-            error: Vec::new(),
+            error: smooth.iter().map(|s| s.error).collect(),
             residual: vec![0.0; raw.len()],
             slope: Vec::new(),
             raw,
         };
         map.slope = map.slopes_across();
-        map.error = map.interpolation_error();
-        map.budget.interpolation = root_mean_square(map.error.iter().copied());
         Some(map)
     }
 
     /// Value of a witness's surface at a fault pair, bilinear.
     pub fn witness_at(&self, fsj: f64, zeta: f64) -> f64 {
-        self.table_at(&self.raw, fsj, zeta)
+        self.table_at(&self.value, fsj, zeta)
     }
 
     /// PCHIP slopes across zeta for each FSJ column.
@@ -239,33 +219,9 @@ impl FailureMap {
         all
     }
 
-    /// Errors at the grid points when each is left out in turn, along FSJ and along zeta, the larger
-    /// of the two; 0 at the rim. `stride` 2 uses every second line and point.
+    /// Errors of the raw values when each grid point is left out in turn, see [`leave_one_out`].
     pub(crate) fn leave_one_out(&self, stride: usize) -> Vec<f64> {
-        let (rows, columns) = (self.zeta.len(), self.fsj.len());
-        let mut out = vec![0.0_f64; self.value.len()];
-        let mut line = |x: &[f64], index: &dyn Fn(usize) -> usize| {
-            let kept: Vec<usize> = (0..x.len()).step_by(stride).collect();
-            for at in 1..kept.len().max(1) - 1 {
-                let others: Vec<usize> = kept.iter().copied().filter(|&k| k != kept[at]).collect();
-                if others.len() < 2 {
-                    continue;
-                }
-                let xs: Vec<f64> = others.iter().map(|&k| x[k]).collect();
-                let ys: Vec<f64> = others.iter().map(|&k| self.value[index(k)]).collect();
-                let mut d = vec![0.0; xs.len()];
-                monotone::slopes(&xs, &ys, &mut d);
-                let i = index(kept[at]);
-                out[i] = out[i].max((monotone::at(&xs, &ys, &d, x[kept[at]]) - self.value[i]).abs());
-            }
-        };
-        for r in (0..rows).step_by(stride) {
-            line(&self.fsj, &|k| r * columns + k);
-        }
-        for c in (0..columns).step_by(stride) {
-            line(&self.zeta, &|k| k * columns + c);
-        }
-        out
+        leave_one_out(&self.fsj, &self.zeta, &self.raw, stride)
     }
 
     /// The place of `zeta` (clamped to the map) between two rows.
@@ -475,6 +431,44 @@ pub(crate) fn smoothness(fine: &[f64], coarse: &[f64]) -> f64 {
         }
     };
     ratio(0.95).max(ratio(0.5))
+}
+
+/// What the grid points become, and how well they predict a test between them.
+fn smooth(fsj: &[f64], zeta: &[f64], raw: &[f64]) -> Vec<Smoothed> {
+    let (fine, coarse) = (leave_one_out(fsj, zeta, raw, 1), leave_one_out(fsj, zeta, raw, 2));
+    // brought to the grid's own spacing
+    let share = smoothness(&fine, &coarse);
+    let own: Vec<f64> = fine.iter().map(|e| share * e).collect();
+    smoothed(fsj, zeta, raw, &own)
+}
+
+/// Errors at the grid points when each is left out in turn, along FSJ and along zeta, the larger
+/// of the two; 0 at the rim. `stride` 2 uses every second line and point.
+fn leave_one_out(fsj: &[f64], zeta: &[f64], raw: &[f64], stride: usize) -> Vec<f64> {
+    let (rows, columns) = (zeta.len(), fsj.len());
+    let mut out = vec![0.0_f64; raw.len()];
+    let mut line = |x: &[f64], index: &dyn Fn(usize) -> usize| {
+        let kept: Vec<usize> = (0..x.len()).step_by(stride).collect();
+        for at in 1..kept.len().max(1) - 1 {
+            let others: Vec<usize> = kept.iter().copied().filter(|&k| k != kept[at]).collect();
+            if others.len() < 2 {
+                continue;
+            }
+            let xs: Vec<f64> = others.iter().map(|&k| x[k]).collect();
+            let ys: Vec<f64> = others.iter().map(|&k| raw[index(k)]).collect();
+            let mut d = vec![0.0; xs.len()];
+            monotone::slopes(&xs, &ys, &mut d);
+            let i = index(kept[at]);
+            out[i] = out[i].max((monotone::at(&xs, &ys, &d, x[kept[at]]) - raw[i]).abs());
+        }
+    };
+    for r in (0..rows).step_by(stride) {
+        line(fsj, &|k| r * columns + k);
+    }
+    for c in (0..columns).step_by(stride) {
+        line(zeta, &|k| k * columns + c);
+    }
+    out
 }
 
 /// 0 of nothing.

@@ -18,6 +18,7 @@ pub mod receive;
 pub mod record;
 pub mod report;
 pub mod sensitivity;
+pub mod smooth;
 pub mod uncertainty;
 pub mod view;
 pub mod witness;

@@ -1,5 +1,6 @@
 //! Diagnosis of one recording, offline: the same extractor, maps and inversion that fly.
 
+use crate::calibrate::TestKind;
 use crate::input::{self, Measured};
 use crate::maps::{self, MapRequest};
 use anyhow::Result;
@@ -41,6 +42,8 @@ pub struct Settings {
 pub struct Case {
     pub measured: Measured,
     pub raw: RawFeatures,
+    /// the kind of test that it is
+    pub kind: TestKind,
     pub diagnosis: Diagnosis,
     pub diagnoser: Diagnoser,
 }
@@ -203,9 +206,20 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         // nothing nominal is known at an unknown angle
         diagnosis.features = Features::over(&raw, &RawFeatures::default());
     }
+    let header = &diagnoser.maps.header;
+    let kind = TestKind {
+        actuator: a.clone(),
+        sensors: sensors_of(path, &measured, settings)?,
+        rate_hz: measured.rate_hz,
+        rest_angle_rad: header.rest_angle_rad,
+        load_n_m: header.load_n_m,
+        equivalent_current: header.equivalent_current,
+        sequence,
+    };
     Ok(Case {
         measured,
         raw,
+        kind,
         diagnosis,
         diagnoser,
     })

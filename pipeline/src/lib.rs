@@ -12,6 +12,7 @@ pub mod maps;
 pub mod output;
 pub mod progress;
 pub mod query;
+pub mod refine;
 pub mod replay;
 pub mod report;
 pub mod report_pages;

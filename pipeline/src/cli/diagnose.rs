@@ -1,14 +1,16 @@
 //! `ema diagnose`.
 
 use super::{ActuatorArg, RecordingArgs, say};
-use crate::case::{self, Settings};
+use crate::case::{self, Case, Settings};
+use crate::refine::{self, Refined, Start, Test};
 use crate::report::{self, Report, Section};
 use crate::report_pages;
 use anyhow::Result;
 use clap::Args;
-use diagnoser::diagnosis::Outcome;
+use diagnoser::diagnosis::{Outcome, parse_known};
 use diagnoser::map_library::Choice;
 use schemas::error::EXIT_LOSS;
+use schemas::fault::Interval;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -38,6 +40,10 @@ pub struct DiagnoseArgs {
     /// phase_resistance_ohm, back_emf_v_s_per_rad, inertia_kg_m2, dynamic_ratio, rest_angle_rad; it narrows a spread
     #[arg(long, value_name = "KEY=NUMBER", value_delimiter = ',')]
     known: Vec<String>,
+    /// Also fit the faults, and the unit's causes, by running the test bench itself: some seconds, and what the maps
+    /// lose against it
+    #[arg(long)]
+    refine: bool,
     /// Share of tests whose true pair the intervals hold
     #[arg(long, default_value_t = diagnoser::calibration::COVERAGE)]
     coverage: f64,
@@ -60,6 +66,71 @@ impl DiagnoseArgs {
             quoted(&self.file)
         )
     }
+}
+
+/// Fits the recording by running the test bench.
+fn refine(a: &DiagnoseArgs, settings: &Settings, case: &Case) -> Result<Refined> {
+    let header = &case.diagnoser.maps.header;
+    let known = parse_known(&a.known, &settings.actuator, header.rest_angle_rad)?;
+    let test = Test {
+        kind: &case.kind,
+        nominal: &case.diagnoser.maps.nominal,
+        features: &case.diagnosis.features,
+        spread: &settings.choice.spread,
+        known: &known,
+    };
+    let start = case.diagnosis.outcome.area().map(Start::of);
+    let refined = refine::refine(&test, start, settings.choice.coverage, 0)?;
+    refined.ok_or(crate::Interrupted.into())
+}
+
+fn refined_json(r: &Refined) -> serde_json::Value {
+    let interval = |i: Interval, e: f64, sigma: f64| serde_json::json!({"lo": i.lo, "hi": i.hi, "estimate": e, "sigma": sigma});
+    let cause = |c: &refine::FittedCause| {
+        serde_json::json!({"cause": c.cause.key(), "share_of_half_width": c.share, "sigma": c.sigma})
+    };
+    serde_json::json!({
+        "fsj": interval(r.fsj, r.estimate.0, r.sigma.0),
+        "zeta": interval(r.zeta, r.estimate.1, r.sigma.1),
+        "correlation": r.correlation,
+        "misfit": r.misfit,
+        "runs": r.runs,
+        "converged": r.converged,
+        "causes": r.causes.iter().map(cause).collect::<Vec<_>>(),
+    })
+}
+
+fn refined_text(r: &Refined, case: &Case) -> String {
+    let mut out = format!(
+        "refined   FSJ {:.4} in {:.4} .. {:.4}, zeta {:.5} in {:.5} .. {:.5}\n          by {} runs of the test bench{}, misfit {:.1} \
+         (about {} is usual)\n",
+        r.estimate.0,
+        r.fsj.lo,
+        r.fsj.hi,
+        r.estimate.1,
+        r.zeta.lo,
+        r.zeta.hi,
+        r.runs,
+        if r.converged { "" } else { ", not settled" },
+        r.misfit,
+        r.features.len().saturating_sub(2)
+    );
+    if let Some(a) = case.diagnosis.outcome.area() {
+        out += &format!(
+            "          the maps' intervals are {:.2} (FSJ) and {:.2} (zeta) times as wide\n",
+            a.fsj.width() / r.fsj.width(),
+            a.zeta.width() / r.zeta.width()
+        );
+    }
+    for c in &r.causes {
+        out += &format!(
+            "          {}: {:+.2} +- {:.2} of its half-width\n",
+            c.cause.title(),
+            c.share,
+            c.sigma
+        );
+    }
+    out
 }
 
 /// A path as a shell takes it.
@@ -88,16 +159,23 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         known: a.known.clone(),
     };
     let case = case::run(&a.file, &settings)?;
+    let refined = if a.refine { Some(refine(a, &settings, &case)?) } else { None };
     // what no pair of faults explains is something that the model does not have
     let next = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. }).then(|| a.study());
     if a.json {
         let mut json = diagnoser::report::to_json(&case.diagnosis);
+        if let Some(r) = &refined {
+            json["refined"] = refined_json(r);
+        }
         if let Some(next) = &next {
             json["next_command"] = next.clone().into();
         }
         say(&json.to_string());
     } else {
         say(&case::to_text(&case));
+        if let Some(r) = &refined {
+            say(&refined_text(r, &case));
+        }
         if let Some(next) = &next {
             say(&format!(
                 "next      {next}\n          (finds what is missing from the model)"

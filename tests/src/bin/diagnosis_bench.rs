@@ -1,11 +1,11 @@
-//! `cargo run --release -p ema-tests --bin diagnosis-bench -- [--tests N] [--seed N] [--coverage] [--record OUT.md]`:
+//! `cargo run --release -p ema-tests --bin diagnosis-bench -- [--tests N] [--seed N] [--refined N] [--coverage] [--record OUT.md]`:
 //! coverage, widths, errors, silent misses and time of diagnoses, on tests that maps and calibration have
 //! not seen. Takes some minutes; `--coverage` ends after the coverage.
 
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
 use ema_tests::coverage::defects::{self, Defect};
-use ema_tests::coverage::{FSJ, ZETA, calibrated, fresh, judge, only, quantile, record, reference_maps};
+use ema_tests::coverage::{FSJ, ZETA, calibrated, fresh, judge, only, quantile, record, reference_maps, yardstick};
 use pipeline::calibrate::{Campaign, Effort};
 use schemas::feature::Feature;
 use std::fmt::Write;
@@ -21,6 +21,8 @@ struct Options {
     tests: usize,
     seed: u64,
     coverage_only: bool,
+    /// tests that the slow estimator is run on, too
+    refined: usize,
     record: Option<String>,
 }
 
@@ -30,16 +32,18 @@ impl Options {
             tests: 1000,
             seed: 1,
             coverage_only: false,
+            refined: 120,
             record: None,
         };
         while let Some(arg) = args.next() {
             let mut value = || args.next().with_context(|| format!("{arg} needs a value"));
             match arg.as_str() {
                 "--tests" => options.tests = value()?.parse()?,
+                "--refined" => options.refined = value()?.parse()?,
                 "--seed" => options.seed = value()?.parse()?,
                 "--record" => options.record = Some(value()?),
                 "--coverage" => options.coverage_only = true,
-                _ => anyhow::bail!("{arg}: --tests N, --seed N, --coverage, --record FILE"),
+                _ => anyhow::bail!("{arg}: --tests N, --seed N, --refined N, --coverage, --record FILE"),
             }
         }
         Ok(options)
@@ -101,6 +105,11 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
         let diagnoser = calibrated(&set, &campaign)?;
         let cases = judge(&diagnoser, &units, &measured);
         out += &record::coverage(&format!("Spread {name}"), &cases);
+        let part = options.refined.min(units.len());
+        if part > 0 {
+            let _ = writeln!(out, "Against the slow estimator, spread {name}: ");
+            out += &yardstick::compare(&diagnoser, &kind, &spread, &units[..part], &measured[..part])?;
+        }
         if options.coverage_only {
             continue;
         }

@@ -3,6 +3,7 @@
 
 pub mod defects;
 pub mod record;
+pub mod yardstick;
 
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::{COVERAGE, Diagnoser, Outcome};

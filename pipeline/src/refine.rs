@@ -1,0 +1,557 @@
+//! The slow reference estimator: fits faults and the unit's unknown causes to one recording by running the
+//! numerical test bench, not the maps. It is the yardstick that the maps' quick diagnosis is held against.
+//!
+//! Relay decisions make the features rough functions of the parameters, so that differences over small steps
+//! say nothing. Local regressions take the place of derivatives (response surfaces in a trust region; Box and
+//! Wilson 1951; Conn, Scheinberg and Vicente 2009): random units in a box around the estimate, each with
+//! sensor noise of its own, are simulated; every feature is fitted by a quadratic of the faults and a plane
+//! of the causes. What the fit leaves is sensor noise, chatter of the relays and lack of fit together: just
+//! what one measured test differs from the fit by. Its covariance therefore weighs the measured features, and
+//! no separate runs are spent on the noise; the bias that noise gives to a feature (P2 is a mean of absolute
+//! values) is in the fit too. The causes enter straight, so that they are eliminated in closed form; the
+//! posterior of (FSJ, zeta) is then summed over a grid, where zeta cannot pass 0. The box moves to its mean
+//! and shrinks to a few of its standard deviations; runs that lie in later boxes are used again, so that the
+//! fit becomes better with each step.
+
+mod response;
+
+use crate::calibrate::{TestKind, simulate_features};
+use anyhow::Result;
+use diagnoser::diagnosis::{Area, Known};
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use response::{PHYSICAL, Point, Posterior, RANGE, Region, Surrogate};
+use schemas::error::Error;
+use schemas::fault::{FaultState, Interval};
+use schemas::feature::{Feature, Features, RawFeatures};
+use schemas::sequence::Command;
+use sim_worker::spread::{Cause, Spread};
+use sim_worker::test_bench::Lane;
+use std::sync::Arc;
+
+/// Features that are fitted. P1 is left out: mean speed loss and ripple make it up.
+const FITTED: [Feature; 6] = [
+    Feature::P2,
+    Feature::P3,
+    Feature::Ripple,
+    Feature::SpeedLoss,
+    Feature::Rise,
+    Feature::CurrentRms,
+];
+
+/// Smallest first radii, FSJ as a share of itself: an area that is wrong must not hold the search.
+const FIRST: (f64, f64) = (0.05, 0.02);
+
+/// Runs of one step; twice as many once the box has its last size.
+const RUNS: usize = 64;
+
+const MOST_STEPS: usize = 8;
+
+/// Share by which radii may still differ from what they should be, once the box has its last size.
+const SAME: (f64, f64) = (0.35, 1.6);
+
+/// Step, in standard deviations, below which the search has converged.
+const SMALL: f64 = 0.1;
+
+/// Fewest steps of P3 (one sample each) on either side that the box must span, so that its staircase has a
+/// slope.
+const STAIRS: f64 = 2.0;
+
+/// One recording and what is known about it.
+#[derive(Clone, Copy, Debug)]
+pub struct Test<'a> {
+    pub kind: &'a TestKind,
+    /// nominal run of the maps, which `features` are over
+    pub nominal: &'a RawFeatures,
+    pub features: &'a Features,
+    /// how units differ: a cause's uniform distribution counts as a Gaussian of the same variance h^2/3
+    pub spread: &'a Spread,
+    /// causes that are held at a deviation instead of being fitted
+    pub known: &'a Known,
+}
+
+/// Where a search begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Start {
+    pub fsj: f64,
+    pub zeta: f64,
+    /// half-widths of the first box (FSJ, zeta)
+    pub radius: (f64, f64),
+}
+
+impl Start {
+    /// The middle of the paper's range, and all of it.
+    pub const ANYWHERE: Self = Self {
+        fsj: 0.5 * (RANGE[0].0 + RANGE[0].1),
+        zeta: 0.5 * (RANGE[1].0 + RANGE[1].1),
+        radius: (0.5 * (RANGE[0].1 - RANGE[0].0), 0.5 * (RANGE[1].1 - RANGE[1].0)),
+    };
+
+    /// Centroid and half of the hull of what the maps allow.
+    pub fn of(area: &Area) -> Self {
+        let (fsj, zeta) = area.centroid;
+        Self {
+            fsj,
+            zeta,
+            radius: (
+                (0.5 * area.fsj.width()).max(FIRST.0 * fsj),
+                (0.5 * area.zeta.width()).max(FIRST.1),
+            ),
+        }
+    }
+}
+
+/// A cause that was fitted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FittedCause {
+    pub cause: Cause,
+    /// mean and standard deviation of the posterior, as shares of the spread's half-width; 0 and 0.577 where
+    /// the recording says nothing about it
+    pub share: f64,
+    pub sigma: f64,
+}
+
+/// One step of a search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// half-widths of the box that was simulated (FSJ, zeta)
+    pub radius: (f64, f64),
+    /// runs that the fit stands on, those of earlier steps included
+    pub runs: usize,
+    /// posterior mean and standard deviations (FSJ, zeta)
+    pub estimate: (f64, f64),
+    pub sigma: (f64, f64),
+    pub misfit: f64,
+}
+
+/// Faults of one recording, fitted by simulation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refined {
+    /// box that holds the true pair with the coverage asked for
+    pub fsj: Interval,
+    pub zeta: Interval,
+    /// posterior mean (FSJ, zeta)
+    pub estimate: (f64, f64),
+    /// posterior standard deviations (FSJ, zeta) and correlation
+    pub sigma: (f64, f64),
+    pub correlation: f64,
+    /// features that were fitted
+    pub features: Vec<Feature>,
+    /// smallest squared residual in standard uncertainties, the causes' priors included: chi-square with
+    /// (features - 2) degrees of freedom where the model holds
+    pub misfit: f64,
+    pub causes: Vec<FittedCause>,
+    pub runs: usize,
+    /// whether the last step was a small share of the standard deviations
+    pub converged: bool,
+    pub trace: Vec<Step>,
+}
+
+impl Refined {
+    /// Posterior covariance of (FSJ, zeta), row by row.
+    pub fn covariance(&self) -> [[f64; 2]; 2] {
+        let (f, z) = self.sigma;
+        let fz = self.correlation * f * z;
+        [[f * f, fz], [fz, z * z]]
+    }
+}
+
+/// Fits one recording. `Ok(None)` where it was interrupted.
+///
+/// * `start` of the search; none: anywhere in the paper's range
+/// * `coverage` of the box of both faults. Each interval reaches k standard deviations to either side, k such
+///   that a Gaussian fault lies in it with probability sqrt(coverage): the box of two independent Gaussians
+///   then has the coverage, and that of correlated ones has no less (Sidak 1967)
+/// * `seed` of the simulated units and their noise: the same one gives the same result
+pub fn refine(test: &Test<'_>, start: Option<Start>, coverage: f64, seed: u64) -> Result<Option<Refined>> {
+    if !(coverage > 0.0 && coverage < 1.0) {
+        let allowed = "a share above 0 and below 1, for example 0.95";
+        return Err(Error::bad("command line", "coverage", coverage, allowed).into());
+    }
+    let problem = Problem::new(test)?;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let start = start.unwrap_or(Start::ANYWHERE);
+    let mut region = Region::new([start.fsj, start.zeta], [start.radius.0, start.radius.1]);
+    let mut points: Vec<Point> = Vec::new();
+    let mut trace: Vec<Step> = Vec::new();
+    let (mut runs, mut settled, mut stairs) = (0, false, 0.0);
+    loop {
+        let n = if settled { 2 * RUNS } else { RUNS };
+        let Some(new) = problem.simulate(&region, n, &mut rng)? else {
+            return Ok(None);
+        };
+        runs += n;
+        points.extend(new);
+        let near: Vec<&Point> = points.iter().filter(|p| region.holds(p.fault)).collect();
+        let surrogate = problem.fit(&region, &near)?;
+        let posterior = surrogate.posterior(&region, &problem.measured);
+        let moved = trace.last().map_or(f64::INFINITY, |last: &Step| {
+            let by = |a: f64, b: f64, sigma: f64| ((a - b) / sigma).abs();
+            let f = by(posterior.mean[0], last.estimate.0, posterior.sigma[0]);
+            f.max(by(posterior.mean[1], last.estimate.1, posterior.sigma[1]))
+        });
+        trace.push(Step {
+            radius: (region.radius[0], region.radius[1]),
+            runs: near.len(),
+            estimate: (posterior.mean[0], posterior.mean[1]),
+            sigma: (posterior.sigma[0], posterior.sigma[1]),
+            misfit: posterior.misfit,
+        });
+        // a box of a few stairs says little of how long they are: what a wider one said holds
+        if let Some(now) = problem
+            .stairs(&surrogate, &region)
+            .filter(|now| stairs == 0.0 || 2.0 * now < region.radius[0])
+        {
+            stairs = now;
+        }
+        let mut next = region.next(&posterior, [stairs, 0.0]);
+        let converged = settled && moved <= SMALL;
+        if converged || trace.len() == MOST_STEPS {
+            return Ok(Some(problem.refined(posterior, coverage, runs, converged, trace)));
+        }
+        let ratios = [0, 1].map(|a| next.radius[a] / region.radius[a]);
+        settled = !region.at_edge(&posterior) && ratios.iter().all(|r| (SAME.0..=SAME.1).contains(r));
+        if settled {
+            // a box of one size has more runs to use again
+            next.radius = region.radius;
+        }
+        region = next;
+    }
+}
+
+/// A recording made ready to be fitted.
+struct Problem<'a> {
+    test: &'a Test<'a>,
+    features: Vec<Feature>,
+    measured: Vec<f64>,
+    /// causes to be fitted
+    free: Vec<Cause>,
+    /// half-widths of the free causes; 1 for those that are known, whose draw is their deviation
+    units: Spread,
+    known: [f64; Cause::COUNT],
+    /// change of P3 from one sample to the next
+    stair: f64,
+}
+
+impl<'a> Problem<'a> {
+    fn new(test: &'a Test<'a>) -> Result<Self> {
+        let nominal_p3 = test.nominal.p3_rad;
+        let value = |f: Feature| test.features.get(f).filter(|x| x.is_finite());
+        let here: Vec<(Feature, f64)> = FITTED.into_iter().filter_map(|f| Some((f, value(f)?))).collect();
+        if here.len() < 2 {
+            let names: Vec<&str> = here.iter().map(|(f, _)| f.name()).collect();
+            let found = if names.is_empty() {
+                "none".into()
+            } else {
+                names.join(", ")
+            };
+            let allowed = format!("at least two of {}", FITTED.map(Feature::name).join(", "));
+            return Err(Error::bad("recording", "features", found, allowed).into());
+        }
+        let mut units = test.spread.clone();
+        let mut known = [0.0; Cause::COUNT];
+        for &(cause, deviation) in test.known {
+            units.half_width[cause as usize] = 1.0;
+            known[cause as usize] = deviation;
+        }
+        let is_known = |c: Cause| test.known.iter().any(|(k, _)| *k == c);
+        let free = test.spread.causes().map(|(c, _)| c).filter(|&c| !is_known(c)).collect();
+        let slope = test.kind.sequence.segments.iter().find_map(|s| match s.command {
+            Command::Ramp { slope_rad_per_s } => Some(slope_rad_per_s.abs()),
+            _ => None,
+        });
+        let stair = match (slope, nominal_p3) {
+            (Some(slope), Some(p3)) => slope / test.kind.rate_hz / p3.abs(),
+            _ => 0.0,
+        };
+        Ok(Self {
+            test,
+            features: here.iter().map(|h| h.0).collect(),
+            measured: here.iter().map(|h| h.1).collect(),
+            free,
+            units,
+            known,
+            stair,
+        })
+    }
+
+    fn place_of_p3(&self) -> Option<usize> {
+        self.features.iter().position(|&f| f == Feature::P3)
+    }
+
+    /// Random tests in a region, one in each layer along every axis (Latin hypercube; McKay et al. 1979). The
+    /// causes fill the whole spread: the recording says little about most of them. Tests that lack a feature
+    /// are left out.
+    fn simulate(&self, region: &Region, n: usize, rng: &mut ChaCha8Rng) -> Result<Option<Vec<Point>>> {
+        let mut layers = |(lo, hi): (f64, f64)| {
+            let at = |k: usize, rng: &mut ChaCha8Rng| (k as f64 + rng.random_range(0.0..1.0)) / n as f64;
+            let mut x: Vec<f64> = (0..n).map(|k| lo + (hi - lo) * at(k, rng)).collect();
+            x.shuffle(rng);
+            x
+        };
+        let faults = [layers(region.ends(0)), layers(region.ends(1))];
+        let causes: Vec<Vec<f64>> = self.free.iter().map(|_| layers((-1.0, 1.0))).collect();
+        let kind = self.test.kind;
+        let mut points = Vec::with_capacity(n);
+        let mut lanes = Vec::with_capacity(n);
+        for i in 0..n {
+            let fault = [faults[0][i], faults[1][i]];
+            let causes: Vec<f64> = causes.iter().map(|c| c[i]).collect();
+            let mut draw = self.known;
+            self.free.iter().zip(&causes).for_each(|(c, x)| draw[*c as usize] = *x);
+            let (actuator, rest_angle_rad) = self.units.unit(&kind.actuator, kind.rest_angle_rad, &draw);
+            let lane = Lane {
+                actuator: Arc::new(actuator),
+                fault: FaultState {
+                    fsj: fault[0],
+                    zeta: fault[1],
+                },
+                rest_angle_rad,
+                load_n_m: kind.load_n_m,
+            };
+            // noise of its own for every run: seeds that are shared would leave one and the same error in all
+            lanes.push((lane, rng.random()));
+            points.push((fault, causes));
+        }
+        let Some(raw) = simulate_features(kind, lanes, "refining")? else {
+            return Ok(None);
+        };
+        let whole = |((fault, causes), raw): (_, &RawFeatures)| {
+            let features = Features::over(raw, self.test.nominal);
+            let features = self.features.iter().map(|&f| features.get(f).filter(|x| x.is_finite()));
+            Some(Point {
+                fault,
+                causes,
+                features: features.collect::<Option<Vec<f64>>>()?,
+            })
+        };
+        Ok(Some(points.into_iter().zip(&raw).filter_map(whole).collect()))
+    }
+
+    /// Response surface over the points of a region.
+    fn fit(&self, region: &Region, points: &[&Point]) -> Result<Surrogate> {
+        let variance = |(f, x): (&Feature, &f64)| {
+            // a box on one stair would call P3 exact: it never is by more than the stair is wide
+            let stair = if *f == Feature::P3 { self.stair } else { 0.0 };
+            stair * stair / 12.0 + (1e-7 * x).powi(2) + 1e-24
+        };
+        let least: Vec<f64> = self.features.iter().zip(&self.measured).map(variance).collect();
+        let fit = Surrogate::fit(region, points, &least).ok_or_else(|| {
+            let names: Vec<&str> = self.features.iter().map(|f| f.name()).collect();
+            let found = format!("only {} simulated tests with {}", points.len(), names.join(", "));
+            Error::bad(
+                "recording",
+                "features",
+                found,
+                "features that the actuator has near the estimate",
+            )
+        })?;
+        Ok(fit)
+    }
+
+    /// Half-width along FSJ that a box needs so that P3 has a slope, if it is fitted.
+    fn stairs(&self, s: &Surrogate, region: &Region) -> Option<f64> {
+        let slope = s.slope(self.place_of_p3()?).abs() / region.radius[0];
+        let longest = FIRST.0 * region.centre[0];
+        Some(if slope > 0.0 {
+            (STAIRS * self.stair / slope).min(longest)
+        } else {
+            longest
+        })
+    }
+
+    fn refined(&self, p: Posterior, coverage: f64, runs: usize, converged: bool, trace: Vec<Step>) -> Refined {
+        let k = two_sided(coverage.sqrt());
+        let interval = |a: usize| Interval {
+            lo: (p.mean[a] - k * p.sigma[a]).max(if a == 0 { 0.0 } else { PHYSICAL[a].0 }),
+            hi: (p.mean[a] + k * p.sigma[a]).min(if a == 0 { f64::INFINITY } else { 1.0 }),
+        };
+        let fitted = |(&cause, &(share, sigma)): (&Cause, &(f64, f64))| FittedCause { cause, share, sigma };
+        Refined {
+            fsj: interval(0),
+            zeta: interval(1),
+            estimate: (p.mean[0], p.mean[1]),
+            sigma: (p.sigma[0], p.sigma[1]),
+            correlation: p.correlation,
+            features: self.features.clone(),
+            misfit: p.misfit,
+            causes: self.free.iter().zip(&p.causes).map(fitted).collect(),
+            runs,
+            converged,
+            trace,
+        }
+    }
+}
+
+/// How many standard deviations to either side hold a share of a Gaussian: Abramowitz and Stegun (1964)
+/// 26.2.23, to 4.5e-4.
+fn two_sided(share: f64) -> f64 {
+    let t = (-2.0 * (0.5 * (1.0 - share)).ln()).sqrt();
+    let above = 2.515_517 + t * (0.802_853 + t * 0.010_328);
+    let below = 1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308));
+    (t - above / below).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sim_worker::datasets;
+    use sim_worker::parameters::ActuatorParameters;
+
+    fn kind() -> TestKind {
+        TestKind {
+            actuator: Arc::new(ActuatorParameters::reference()),
+            sequence: datasets::sequence("preflight").unwrap(),
+            sensors: datasets::sensors("reference").unwrap(),
+            rate_hz: 1e4,
+            rest_angle_rad: 0.0,
+            load_n_m: 0.0,
+            equivalent_current: false,
+        }
+    }
+
+    /// Nominal run, and the features of one unit's test.
+    fn recording(
+        kind: &TestKind,
+        spread: &Spread,
+        draw: [f64; Cause::COUNT],
+        fault: (f64, f64),
+    ) -> (RawFeatures, Features) {
+        let (actuator, rest_angle_rad) = spread.unit(&kind.actuator, kind.rest_angle_rad, &draw);
+        let lane = |actuator, fault, rest_angle_rad| Lane {
+            actuator,
+            fault,
+            rest_angle_rad,
+            load_n_m: 0.0,
+        };
+        let fault = FaultState {
+            fsj: fault.0,
+            zeta: fault.1,
+        };
+        let lanes = vec![
+            (lane(kind.actuator.clone(), FaultState::NOMINAL, 0.0), 11),
+            (lane(Arc::new(actuator), fault, rest_angle_rad), 12),
+        ];
+        let raw = simulate_features(kind, lanes, "test").unwrap().unwrap();
+        (raw[0], Features::over(&raw[1], &raw[0]))
+    }
+
+    #[test]
+    fn val_a_pair_is_found_from_a_start_that_is_off_by_a_fifth() {
+        let (kind, spread, known) = (kind(), Spread::none(), Vec::new());
+        let truth = (2.6, 0.17);
+        let (nominal, features) = recording(&kind, &spread, [0.0; Cause::COUNT], truth);
+        let test = Test {
+            kind: &kind,
+            nominal: &nominal,
+            features: &features,
+            spread: &spread,
+            known: &known,
+        };
+        let start = Start {
+            fsj: 1.2 * truth.0,
+            zeta: truth.1 + 0.05,
+            radius: (0.13, 0.02),
+        };
+        let r = refine(&test, Some(start), 0.95, 1).unwrap().unwrap();
+        let (f, z) = (r.estimate.0 - truth.0, r.estimate.1 - truth.1);
+        assert!(f.abs() < 4.0 * r.sigma.0 && z.abs() < 4.0 * r.sigma.1, "{r:?}");
+        // sensors and chatter allow about 0.1 % of FSJ and 0.0002 of zeta
+        assert!(r.sigma.0 < 0.005 && r.sigma.1 < 0.001, "{r:?}");
+        // chi-square of 4 degrees of freedom: one in a million
+        assert!(r.misfit < 35.0 && r.features == FITTED && r.causes.is_empty(), "{r:?}");
+        // the seed decides everything
+        assert_eq!(refine(&test, Some(start), 0.95, 1).unwrap().unwrap(), r);
+    }
+
+    #[test]
+    fn val_a_healthy_actuator_is_found_from_anywhere() {
+        let (kind, spread, known) = (kind(), Spread::none(), Vec::new());
+        let (nominal, features) = recording(&kind, &spread, [0.0; Cause::COUNT], (1.003, 0.0));
+        let test = Test {
+            kind: &kind,
+            nominal: &nominal,
+            features: &features,
+            spread: &spread,
+            known: &known,
+        };
+        let r = refine(&test, None, 0.95, 1).unwrap().unwrap();
+        assert!((r.estimate.0 - 1.003).abs() < 0.015 && r.zeta.contains(0.0), "{r:?}");
+        assert!(r.zeta.lo == 0.0 && r.zeta.hi < 0.02, "{r:?}");
+    }
+
+    #[test]
+    fn prop_a_known_cause_narrows_the_box_and_a_missing_feature_widens_it() {
+        let (kind, spread) = (kind(), datasets::spread("fleet").unwrap());
+        let draw = [0.5, -0.6, 0.4, -0.7, 0.3, 0.0, 0.0];
+        let truth = (3.1, 0.21);
+        let (nominal, features) = recording(&kind, &spread, draw, truth);
+        let run = |features: &Features, known: &Known| {
+            let test = Test {
+                kind: &kind,
+                nominal: &nominal,
+                features,
+                spread: &spread,
+                known,
+            };
+            let r = refine(&test, None, 0.95, 1).unwrap().unwrap();
+            let (f, z) = (r.estimate.0 - truth.0, r.estimate.1 - truth.1);
+            assert!(f.abs() < 4.0 * r.sigma.0 && z.abs() < 4.0 * r.sigma.1, "{r:?}");
+            r
+        };
+        let unknown = run(&features, &Vec::new());
+        let of = |c: Cause| (c, draw[c as usize] * spread.half_width[c as usize]);
+        let causes = [Cause::Resistance, Cause::BackEmf, Cause::DynamicRatio, Cause::Supply].map(of);
+        let known = run(&features, &causes.to_vec());
+        assert!(
+            known.sigma.0 < 0.7 * unknown.sigma.0 && known.sigma.1 < unknown.sigma.1,
+            "{known:?}"
+        );
+        assert_eq!((unknown.causes.len(), known.causes.len()), (5, 1));
+        let mut fewer = features;
+        fewer.p3 = None;
+        fewer.rise_s = Some(f64::NAN);
+        let fewer = run(&fewer, &Vec::new());
+        assert_eq!(fewer.features.len(), 4);
+        assert!(fewer.sigma.0 > unknown.sigma.0, "{fewer:?}");
+    }
+
+    #[test]
+    fn prop_fewer_than_two_features_or_no_coverage_are_refused() {
+        let (kind, spread, known) = (kind(), Spread::none(), Vec::new());
+        let (nominal, features) = (RawFeatures::default(), Features::default());
+        let one = Features {
+            p2_a: Some(0.5),
+            p1_rad_per_s: Some(0.1),
+            ..features
+        };
+        let both = Features {
+            ripple_rad_per_s: Some(0.003),
+            ..one
+        };
+        for (features, coverage, place) in [(one, 0.95, "features"), (both, 1.0, "coverage")] {
+            let test = Test {
+                kind: &kind,
+                nominal: &nominal,
+                features: &features,
+                spread: &spread,
+                known: &known,
+            };
+            let e = refine(&test, None, coverage, 1).unwrap_err().to_string();
+            assert!(e.contains(place) && e.lines().count() == 1, "{e}");
+        }
+    }
+
+    #[test]
+    fn val_half_widths_are_those_of_the_gaussian() {
+        for (share, k) in [
+            (0.682_689, 1.0),
+            (0.95, 1.959_964),
+            (0.974_679, 2.236_477),
+            (0.99, 2.575_829),
+        ] {
+            assert!((two_sided(share) - k).abs() < 1e-3, "{share}");
+        }
+    }
+}
