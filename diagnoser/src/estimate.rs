@@ -4,7 +4,7 @@ use crate::calibration::Calibration;
 use crate::diagnosis::Known;
 use crate::failure_map::{FailureMap, FailureMapSet};
 use crate::paving::{Joint, Lattice, Limits};
-use crate::uncertainty::{MOST, PreparedSurfaces, ResponseSurfaces, Row};
+use crate::uncertainty::{Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, Straight};
 use schemas::feature::{Feature, Features};
 use sim_worker::spread::Cause;
 
@@ -26,6 +26,12 @@ const MOST_STEPS: usize = 30;
 /// First steps of a descent after which the covariance is made anew; later ones are short.
 const COVARIANCES: usize = 2;
 
+/// Causes before anything is known of them.
+const NO_GUESS: Guess = [0.0; Cause::COUNT];
+
+/// Ends of a uniform distribution in its standard deviations: sqrt(3).
+const UNIFORM: f64 = 1.732_050_807_568_877_2;
+
 /// Smallest uncertainty as a share of a map's range, so that nothing is divided by zero.
 const FLOOR: f64 = 1e-7;
 
@@ -39,8 +45,10 @@ pub struct Estimate {
     /// whitening: lower triangle, the inverse of the covariance's Cholesky factor; rows of missing
     /// features are zero
     whitening: [Row; MOST],
-    /// what is known of the unit moves the features by this
+    /// what is known of the unit, and the bends of its response, move the features by this
     shift: Row,
+    /// where the unknown causes are thought to lie
+    guess: Guess,
 }
 
 /// A pair from which the search may start.
@@ -69,18 +77,15 @@ pub struct Estimator {
     lattice: Lattice,
     /// variance of each feature on the lattice's nodes without common causes
     variances: Vec<Row>,
-    /// common causes that are not known: slopes for one standard deviation
+    /// response to common causes, known and unknown
     causes: Option<PreparedSurfaces>,
     /// which those are, in the same order
     unknown: Vec<Cause>,
-    /// those that are known: slopes for their deviation
-    known: Option<PreparedSurfaces>,
     limits: Limits,
     starts: Vec<Start>,
     witnesses: Vec<FailureMap>,
-    /// as `causes` and `known`, of the witnesses
+    /// as `causes`, of the witnesses
     witness_causes: Option<PreparedSurfaces>,
-    witness_known: Option<PreparedSurfaces>,
     witness_remainder: Row,
 }
 
@@ -130,7 +135,7 @@ impl Estimator {
         for (r, f) in witness_remainder.iter_mut().zip(&witness_names) {
             *r = surfaces.and_then(|s| s.remainder.get(f.name())).copied().unwrap_or(0.0);
         }
-        let (unknown, (causes, known), (witness_causes, witness_known)) = match (calibration, surfaces) {
+        let (unknown, causes, witness_causes) = match (calibration, surfaces) {
             (Some(c), Some(s)) => {
                 let unknown: Vec<_> = c
                     .spread()
@@ -139,12 +144,11 @@ impl Estimator {
                     // standard deviation of a uniform distribution
                     .map(|(c, h)| (c, h / 3f64.sqrt()))
                     .collect();
-                let prepared = |of: &[Feature], list: &[_]| (!list.is_empty()).then(|| s.prepared(of, list));
-                let both = |of: &[Feature]| (prepared(of, &unknown), prepared(of, known));
+                let prepared = |of: &[Feature]| Some(s.prepared(of, &unknown, known));
                 let names = unknown.iter().map(|(c, _)| *c).collect();
-                (names, both(&features), both(&witness_names))
+                (names, prepared(&features), prepared(&witness_names))
             }
-            _ => (Vec::new(), (None, None), (None, None)),
+            _ => (Vec::new(), None, None),
         };
         let mut estimator = Self {
             features,
@@ -152,12 +156,10 @@ impl Estimator {
             variances,
             causes,
             unknown,
-            known,
             limits,
             starts: Vec::new(),
             witnesses,
             witness_causes,
-            witness_known,
             witness_remainder,
         };
         estimator.starts = estimator.make_starts();
@@ -172,13 +174,14 @@ impl Estimator {
             let (fsj, zeta) = (along(f, i % STARTS), along(z, i / STARTS));
             let (mut value, by_f, by_z) = self.lattice.with_slopes(fsj, zeta);
             let variance = self.variance(fsj, zeta);
-            if let Some(s) = self.known_shift(fsj, zeta) {
-                value.iter_mut().zip(s).for_each(|(v, s)| *v += s);
+            let common = self.straight(fsj, zeta, &NO_GUESS);
+            if let Some(s) = &common {
+                value.iter_mut().zip(s.shift).for_each(|(v, s)| *v += s);
             }
             let mut weight = [0.0; MOST];
             for k in 0..self.features.len() {
                 let way = (0.5 * df * by_f[k]).powi(2) + (0.5 * dz * by_z[k]).powi(2);
-                weight[k] = 1.0 / (variance[k] + self.common_variance(k, fsj, zeta) + way);
+                weight[k] = 1.0 / (variance[k] + common_variance(&common, k) + way);
             }
             Start {
                 fsj,
@@ -213,28 +216,22 @@ impl Estimator {
         self.lattice.blend(&self.variances, fsj, zeta)
     }
 
-    fn common_variance(&self, k: usize, fsj: f64, zeta: f64) -> f64 {
-        let causes = self.causes.iter().flat_map(|c| c.at(fsj, zeta));
-        causes.map(|c| c[k] * c[k]).sum()
-    }
-
-    fn known_shift(&self, fsj: f64, zeta: f64) -> Option<Row> {
-        let mut sum = [0.0; MOST];
-        for row in self.known.as_ref()?.at(fsj, zeta) {
-            sum.iter_mut().zip(row).for_each(|(s, x)| *s += x);
-        }
-        Some(sum)
+    /// Response to the common causes, about a guess of them.
+    fn straight(&self, fsj: f64, zeta: f64, guess: &Guess) -> Option<Straight> {
+        Some(self.causes.as_ref()?.at(fsj, zeta, guess))
     }
 
     /// Standard uncertainty of a feature at a fault pair, common causes included.
     pub fn uncertainty(&self, feature: Feature, fsj: f64, zeta: f64) -> Option<f64> {
         let k = self.features.iter().position(|&f| f == feature)?;
-        Some((self.variance(fsj, zeta)[k] + self.common_variance(k, fsj, zeta)).sqrt())
+        let common = common_variance(&self.straight(fsj, zeta, &NO_GUESS), k);
+        Some((self.variance(fsj, zeta)[k] + common).sqrt())
     }
 
     /// What the covariance at a fault pair is made of: `C = diag(own) + sum of common common^T`.
     pub fn covariance_parts(&self, fsj: f64, zeta: f64) -> CovarianceParts {
-        let rows = self.causes.iter().flat_map(|c| c.at(fsj, zeta));
+        let straight = self.straight(fsj, zeta, &NO_GUESS);
+        let rows = straight.iter().flat_map(|s| s.slopes[..s.causes].to_vec());
         CovarianceParts {
             own: self.variance(fsj, zeta),
             common: self.unknown.iter().copied().zip(rows).collect(),
@@ -243,12 +240,12 @@ impl Estimator {
 
     /// The inverse of the Cholesky factor of the covariance at a fault pair, of the features that are
     /// there.
-    fn whitening(&self, values: &Row, fsj: f64, zeta: f64) -> [Row; MOST] {
+    fn whitening(&self, values: &Row, fsj: f64, zeta: f64, common: &Option<Straight>) -> [Row; MOST] {
         let n = self.features.len();
         let mut c = [[0.0; MOST]; MOST];
         let variance = self.variance(fsj, zeta);
         (0..n).for_each(|k| c[k][k] = variance[k]);
-        for s in self.causes.iter().flat_map(|p| p.at(fsj, zeta)) {
+        for s in common.iter().flat_map(|s| &s.slopes[..s.causes]) {
             for i in 0..n {
                 for j in 0..=i {
                     c[i][j] += s[i] * s[j];
@@ -320,7 +317,7 @@ impl Estimator {
     /// Gauss-Newton steps from a pair, the covariance following for the first few.
     fn descend(&self, values: &Row, mut fsj: f64, mut zeta: f64) -> Estimate {
         let (f_range, z_range) = self.lattice.range();
-        let mut e = self.at(values, fsj, zeta);
+        let mut e = self.at(values, fsj, zeta, &NO_GUESS);
         let mut damping = 0.0;
         for step in 0..MOST_STEPS {
             let (_, by_f, by_z) = self.lattice.with_slopes(fsj, zeta);
@@ -353,7 +350,7 @@ impl Estimator {
                 (fsj, zeta) = to;
                 damping *= 0.2;
                 if step < COVARIANCES && moved > 1e-4 {
-                    e = self.at(values, fsj, zeta);
+                    e = self.at(values, fsj, zeta, &e.guess);
                 } else {
                     (e.fsj, e.zeta, e.misfit) = (fsj, zeta, new);
                 }
@@ -368,20 +365,36 @@ impl Estimator {
             }
         }
         // the covariance of the place that was found, and what it thinks of it
-        self.at(values, fsj, zeta)
+        self.at(values, fsj, zeta, &e.guess)
     }
 
-    /// A pair with its covariance.
-    fn at(&self, values: &Row, fsj: f64, zeta: f64) -> Estimate {
-        let mut e = Estimate {
-            fsj,
-            zeta,
-            misfit: 0.0,
-            whitening: self.whitening(values, fsj, zeta),
-            shift: self.known_shift(fsj, zeta).unwrap_or([0.0; MOST]),
-        };
-        let z = self.residual(values, &e, fsj, zeta);
-        e.misfit = z.iter().map(|z| z * z).sum();
+    /// A pair with its covariance, the response to the causes made straight about where they are thought to lie:
+    /// about `guess` first, then about what the features make of it there.
+    fn at(&self, values: &Row, fsj: f64, zeta: f64, guess: &Guess) -> Estimate {
+        let mut guess = *guess;
+        let mut e;
+        let mut passes = if self.causes.is_some() { 2 } else { 1 };
+        loop {
+            let common = self.straight(fsj, zeta, &guess);
+            e = Estimate {
+                fsj,
+                zeta,
+                misfit: 0.0,
+                whitening: self.whitening(values, fsj, zeta, &common),
+                shift: common.map_or([0.0; MOST], |s| s.shift),
+                guess,
+            };
+            let z = self.residual(values, &e, fsj, zeta);
+            e.misfit = z.iter().map(|z| z * z).sum();
+            passes -= 1;
+            let Some(s) = common.filter(|_| passes > 0) else { break };
+            // the most probable causes: S^T C^-1 r, none beyond the ends of its uniform distribution
+            for (g, slope) in guess.iter_mut().zip(&s.slopes[..s.causes]) {
+                let w = apply(&e.whitening, slope);
+                *g = w.iter().zip(&z).map(|(w, z)| w * z).sum::<f64>();
+                *g = g.clamp(-UNIFORM, UNIFORM);
+            }
+        }
         e
     }
 
@@ -410,11 +423,10 @@ impl Estimator {
         let dot = |x: &Row, y: &Row| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
         let (aa, ab, bb) = (dot(&a, &a), dot(&a, &b), dot(&b, &b));
         let det = (aa * bb - ab * ab).max(1e-300);
-        let causes: Vec<Row> = self.witness_causes.iter().flat_map(|c| c.at(fsj, zeta)).collect();
-        let known: Vec<Row> = self.witness_known.iter().flat_map(|c| c.at(fsj, zeta)).collect();
+        let common = self.witness_causes.as_ref().map(|c| c.at(fsj, zeta, &NO_GUESS));
         let one = |(k, w): (usize, &FailureMap)| {
             let found = features.get(w.feature).filter(|v| v.is_finite())?;
-            let expected = w.witness_at(fsj, zeta) + known.iter().map(|c| c[k]).sum::<f64>();
+            let expected = w.witness_at(fsj, zeta) + common.map_or(0.0, |s| s.shift[k]);
             let (df, dz) = (
                 1e-2 * (self.limits.f.1 - self.limits.f.0),
                 1e-2 * (self.limits.z.1 - self.limits.z.0),
@@ -422,7 +434,7 @@ impl Estimator {
             let slope_f = (w.witness_at(fsj + df, zeta) - w.witness_at(fsj - df, zeta)) / (2.0 * df);
             let slope_z = (w.witness_at(fsj, zeta + dz) - w.witness_at(fsj, zeta - dz)) / (2.0 * dz);
             let of_pair = (bb * slope_f * slope_f - 2.0 * ab * slope_f * slope_z + aa * slope_z * slope_z) / det;
-            let of_causes: f64 = causes.iter().map(|c| c[k] * c[k]).sum();
+            let of_causes = common_variance(&common, k);
             let own = w.uncertainty(fsj, zeta).powi(2) + self.witness_remainder[k].powi(2);
             let u = (own + of_causes + of_pair.max(0.0)).sqrt().max(1e-300);
             Some((w.feature, found, expected, (found - expected) / u))
@@ -468,6 +480,12 @@ impl Estimator {
         let at_zeta = along(&self.lattice.fsj, f, &|x| (x, zeta));
         at_fsj.max(at_zeta)
     }
+}
+
+/// Variance of feature `k` by common causes.
+fn common_variance(common: &Option<Straight>, k: usize) -> f64 {
+    let slopes = common.iter().flat_map(|s| &s.slopes[..s.causes]);
+    slopes.map(|s| s[k] * s[k]).sum()
 }
 
 /// Smallest square of what lies straight between two vectors.

@@ -1,9 +1,9 @@
 //! How units of one type differ, in the features: the response of every feature to every cause.
 //!
 //! Around the actuator that the maps are of, a feature changes by `sum over causes of x_c s_c(FSJ, zeta)`,
-//! `x_c` the deviation of a cause and `s_c` its slope. Slopes are cubic polynomials of the faults,
-//! fitted to simulated units (a response surface; Box and Wilson 1951). What the straight line leaves
-//! is an uncertainty of its own.
+//! `x_c` the deviation of a cause and `s_c` its slope, and by `sum over pairs x_c x_d q_cd(FSJ, zeta)`, the
+//! bend. Slopes are cubic, bends quadratic polynomials of the faults, fitted to simulated units (a response
+//! surface; Box and Wilson 1951). What that leaves is an uncertainty of its own.
 
 use nalgebra::{DMatrix, DVector};
 use schemas::feature::Feature;
@@ -22,6 +22,21 @@ const TERMS: usize = 10;
 
 /// Coefficients of a slope over the faults.
 type Slope = [f64; TERMS];
+
+/// Terms of a quadratic polynomial of two variables: the first of [`terms`].
+const BEND_TERMS: usize = 6;
+
+/// Coefficients of a bend over the faults.
+type Bend = [f64; BEND_TERMS];
+
+/// Samples for each coefficient, at least; with fewer no bends are fitted.
+const SAMPLES_EACH: usize = 4;
+
+/// Causes that act by themselves, at most.
+const ACTING: usize = 6;
+
+/// Pairs of them, each with itself included.
+const PAIRS: usize = ACTING * (ACTING + 1) / 2;
 
 /// Terms at scaled faults.
 fn terms(u: f64, v: f64) -> Slope {
@@ -73,7 +88,11 @@ pub struct ResponseSurfaces {
     scale: Scale,
     /// by feature name: slope for each cause, in the feature's unit for a deviation of 1 (relative, rad)
     slopes: BTreeMap<String, [Slope; Cause::COUNT]>,
-    /// by feature name: standard uncertainty of what straight lines leave, in the feature's unit
+    /// pairs of causes (numbers of [`Cause`]) whose product counts
+    pairs: Vec<(usize, usize)>,
+    /// by feature name: bend for each pair, in the feature's unit for deviations of 1
+    bends: BTreeMap<String, Vec<Bend>>,
+    /// by feature name: standard uncertainty of what slopes and bends leave, in the feature's unit
     pub remainder: BTreeMap<String, f64>,
 }
 
@@ -98,14 +117,26 @@ impl ResponseSurfaces {
             .iter()
             .map(|&c| samples.iter().map(|s| s.deviations[c].abs()).fold(0.0, f64::max))
             .collect();
+        let all_pairs = |n: usize| (0..n).flat_map(move |i| (i..n).map(move |j| (i, j)));
+        let mut pairs: Vec<(usize, usize)> = all_pairs(acting.len()).collect();
+        let straight = acting.len() * TERMS;
+        if samples.len() < SAMPLES_EACH * (straight + pairs.len() * BEND_TERMS) {
+            pairs.clear();
+        }
         let row = |s: &Sample| {
             let (u, v) = scale.of(s.fsj, s.zeta);
             let terms = terms(u, v);
-            let columns = acting.iter().zip(&size);
-            let one = |(&c, &size): (&usize, &f64)| terms.map(|t| t * s.deviations[c] / size);
-            columns.flat_map(one).collect::<Vec<f64>>()
+            let x: Vec<f64> = acting
+                .iter()
+                .zip(&size)
+                .map(|(&c, size)| s.deviations[c] / size)
+                .collect();
+            let slopes = x.iter().flat_map(|x| terms.map(|t| t * x));
+            let products = pairs.iter().map(|&(i, j)| x[i] * x[j]);
+            let bends = products.flat_map(|xx| terms[..BEND_TERMS].iter().map(move |t| t * xx).collect::<Vec<_>>());
+            slopes.chain(bends).collect::<Vec<f64>>()
         };
-        let n = acting.len() * TERMS;
+        let n = straight + pairs.len() * BEND_TERMS;
         let rows: Vec<Vec<f64>> = samples.iter().map(row).collect();
         let design = DMatrix::from_fn(samples.len(), n, |i, j| rows[i][j]);
         // causes that only act together (temperature alone) share their effect: a touch of ridge
@@ -113,7 +144,7 @@ impl ResponseSurfaces {
         let ridge = 1e-9 * samples.len() as f64;
         (0..n).for_each(|i| normal[(i, i)] += ridge);
         let solver = normal.cholesky().expect("positive definite by the ridge");
-        let mut slopes = BTreeMap::new();
+        let (mut slopes, mut bends) = (BTreeMap::new(), BTreeMap::new());
         let mut remainder = BTreeMap::new();
         let features = samples.first().map_or(&[][..], |s| &s.residual);
         for (k, (feature, _, _)) in features.iter().enumerate() {
@@ -124,6 +155,10 @@ impl ResponseSurfaces {
             for (a, (&c, &size)) in acting.iter().zip(&size).enumerate() {
                 slope[c] = std::array::from_fn(|t| x[a * TERMS + t] / size);
             }
+            let bend = |(k, &(i, j)): (usize, &(usize, usize))| -> Bend {
+                std::array::from_fn(|t| x[straight + k * BEND_TERMS + t] / (size[i] * size[j]))
+            };
+            bends.insert(feature.name().to_string(), pairs.iter().enumerate().map(bend).collect());
             let stated = samples.iter().map(|s| s.residual[k].2.powi(2)).sum::<f64>();
             let free = (samples.len() as f64 - n as f64).max(1.0);
             let variance = (left.norm_squared() / free - stated / samples.len() as f64).max(0.0);
@@ -133,6 +168,8 @@ impl ResponseSurfaces {
         Self {
             scale,
             slopes,
+            pairs: pairs.iter().map(|&(i, j)| (acting[i], acting[j])).collect(),
+            bends,
             remainder,
         }
     }
@@ -157,22 +194,51 @@ impl ResponseSurfaces {
         out
     }
 
-    /// Prepared for quick evaluation: slopes of `features` for a half-width of each of `causes`.
-    pub fn prepared(&self, features: &[Feature], causes: &[(Cause, f64)]) -> PreparedSurfaces {
-        let columns = causes.iter().map(|&(cause, amount)| {
-            let mut rows = [[0.0; MOST]; TERMS];
-            for (k, f) in features.iter().enumerate() {
-                if let Some(slopes) = self.slopes.get(f.name()) {
-                    for (t, row) in rows.iter_mut().enumerate() {
-                        row[k] = amount * through(cause, |c| slopes[c as usize][t]);
-                    }
+    /// Prepared for quick evaluation.
+    ///
+    /// * `unknown` causes and their standard deviations
+    /// * `known` causes and their deviations
+    pub fn prepared(&self, features: &[Feature], unknown: &[(Cause, f64)], known: &[(Cause, f64)]) -> PreparedSurfaces {
+        let acting: Vec<usize> = (0..Cause::COUNT)
+            .filter(|&c| self.slopes.values().any(|s| s[c].iter().any(|x| *x != 0.0)))
+            .take(ACTING)
+            .collect();
+        let place = |c: usize| acting.iter().position(|&a| a == c);
+        let share = |&(cause, amount): &(Cause, f64)| {
+            let mut row = [0.0; ACTING];
+            for (through, per_unit) in cause.acts_through() {
+                if let Some(k) = place(through as usize) {
+                    row[k] += amount * per_unit;
                 }
             }
-            rows
+            row
+        };
+        let mut slopes = vec![[[0.0; MOST]; TERMS]; acting.len()];
+        let mut bends = vec![(0, 0, [[0.0; MOST]; BEND_TERMS]); self.pairs.len()];
+        for (k, f) in features.iter().enumerate() {
+            if let Some(s) = self.slopes.get(f.name()) {
+                for (rows, &c) in slopes.iter_mut().zip(&acting) {
+                    rows.iter_mut().zip(s[c]).for_each(|(row, x)| row[k] = x);
+                }
+            }
+            if let Some(b) = self.bends.get(f.name()) {
+                for ((i, j, rows), (pair, bend)) in bends.iter_mut().zip(self.pairs.iter().zip(b)) {
+                    (*i, *j) = (place(pair.0).unwrap_or(0), place(pair.1).unwrap_or(0));
+                    rows.iter_mut().zip(bend).for_each(|(row, x)| row[k] = *x);
+                }
+            }
+        }
+        bends.truncate(PAIRS);
+        let known = known.iter().map(share).fold([0.0; ACTING], |mut sum, row| {
+            sum.iter_mut().zip(row).for_each(|(s, x)| *s += x);
+            sum
         });
         PreparedSurfaces {
             scale: self.scale,
-            columns: columns.collect(),
+            slopes,
+            bends,
+            unknown: unknown.iter().map(share).collect(),
+            known,
         }
     }
 }
@@ -182,27 +248,73 @@ fn through(cause: Cause, of: impl Fn(Cause) -> f64) -> f64 {
     cause.acts_through().into_iter().map(|(c, x)| x * of(c)).sum()
 }
 
+/// Where the unknown causes are thought to lie, in their standard deviations.
+pub type Guess = [f64; Cause::COUNT];
+
 /// Response surfaces with the features side by side.
 #[derive(Clone, Debug)]
 pub struct PreparedSurfaces {
     scale: Scale,
-    columns: Vec<[Row; TERMS]>,
+    /// of what acts by itself
+    slopes: Vec<[Row; TERMS]>,
+    bends: Vec<(usize, usize, [Row; BEND_TERMS])>,
+    /// what one standard deviation of each unknown cause makes of that
+    unknown: Vec<[f64; ACTING]>,
+    /// what the known ones make of it
+    known: [f64; ACTING],
+}
+
+/// Response surfaces at one fault pair, made straight about a guess of the causes.
+#[derive(Clone, Copy, Debug)]
+pub struct Straight {
+    /// change of the features for one standard deviation of each unknown cause
+    pub slopes: [Row; Cause::COUNT],
+    pub causes: usize,
+    /// what is to be added to that: what is known, and the bends
+    pub shift: Row,
 }
 
 impl PreparedSurfaces {
-    /// Change of the features for each cause at a fault pair.
-    pub fn at(&self, fsj: f64, zeta: f64) -> impl Iterator<Item = Row> {
+    /// At a fault pair, about a guess.
+    pub fn at(&self, fsj: f64, zeta: f64, guess: &Guess) -> Straight {
         let (u, v) = self.scale.of(fsj, zeta);
         let terms = terms(u, v);
-        self.columns.iter().map(move |rows| {
-            let mut out = [0.0; MOST];
+        let mut x = self.known;
+        for (row, t) in self.unknown.iter().zip(guess) {
+            x.iter_mut().zip(row).for_each(|(x, a)| *x += a * t);
+        }
+        let add = |to: &mut Row, factor: f64, row: &Row| to.iter_mut().zip(row).for_each(|(o, r)| *o += factor * r);
+        let mut value = [0.0; MOST];
+        let mut by = [[0.0; MOST]; ACTING];
+        for (k, rows) in self.slopes.iter().enumerate() {
             for (row, t) in rows.iter().zip(terms) {
-                for (o, x) in out.iter_mut().zip(row) {
-                    *o += t * x;
-                }
+                add(&mut by[k], t, row);
             }
-            out
-        })
+            let straight = by[k];
+            add(&mut value, x[k], &straight);
+        }
+        for (i, j, rows) in &self.bends {
+            let mut bend = [0.0; MOST];
+            for (row, t) in rows.iter().zip(terms) {
+                add(&mut bend, t, row);
+            }
+            add(&mut value, x[*i] * x[*j], &bend);
+            add(&mut by[*i], x[*j], &bend);
+            add(&mut by[*j], x[*i], &bend);
+        }
+        let mut out = Straight {
+            slopes: [[0.0; MOST]; Cause::COUNT],
+            causes: self.unknown.len(),
+            shift: value,
+        };
+        for ((slope, row), t) in out.slopes.iter_mut().zip(&self.unknown).zip(guess) {
+            for (a, by) in row.iter().zip(&by) {
+                add(slope, *a, by);
+            }
+            let whole = *slope;
+            add(&mut out.shift, -t, &whole);
+        }
+        out
     }
 }
 
@@ -230,8 +342,11 @@ mod tests {
                 let mut deviations = [0.0; Cause::COUNT];
                 deviations[Cause::Resistance as usize] = 0.1 * number(i, 3) - 0.05;
                 deviations[Cause::Supply as usize] = 0.04 * number(i, 4) - 0.02;
-                let y = slope(fsj, zeta) * deviations[Cause::Resistance as usize]
-                    - 2.0 * deviations[Cause::Supply as usize];
+                let (r, v) = (
+                    deviations[Cause::Resistance as usize],
+                    deviations[Cause::Supply as usize],
+                );
+                let y = slope(fsj, zeta) * r + 30.0 * r * r - 2.0 * v;
                 Sample {
                     fsj,
                     zeta,
@@ -246,9 +361,20 @@ mod tests {
             assert!((at(Cause::Resistance) - slope(f, z)).abs() < 1e-4, "{f} {z}");
             assert!((at(Cause::Supply) + 2.0).abs() < 1e-4);
             assert_eq!(at(Cause::Inertia), 0.0);
-            let prepared = s.prepared(&[Feature::P2], &[(Cause::Resistance, 0.05)]);
-            let column = prepared.at(f, z).next().unwrap();
-            assert!((column[0] - 0.05 * at(Cause::Resistance)).abs() < 1e-12);
+            let prepared = s.prepared(&[Feature::P2], &[(Cause::Resistance, 0.05)], &[]);
+            let straight = prepared.at(f, z, &[0.0; Cause::COUNT]);
+            assert!((straight.slopes[0][0] - 0.05 * at(Cause::Resistance)).abs() < 1e-12);
+            assert_eq!((straight.causes, straight.shift[0]), (1, 0.0));
+            // about any guess the straight line touches the bent surface: 30 x^2 here
+            let guess = [0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+            let x = 0.4 * 0.05;
+            let about = prepared.at(f, z, &guess);
+            let touched = about.shift[0] + 0.4 * about.slopes[0][0];
+            assert!((touched - (slope(f, z) * x + 30.0 * x * x)).abs() < 1e-4, "{touched}");
+            assert!((about.slopes[0][0] - 0.05 * (slope(f, z) + 60.0 * x)).abs() < 1e-4);
+            let known = s.prepared(&[Feature::P2], &[], &[(Cause::Supply, 0.01)]);
+            let shift = known.at(f, z, &[0.0; Cause::COUNT]).shift[0];
+            assert!((shift + 0.02).abs() < 1e-4, "{shift}");
         }
         assert!(s.knows(Cause::Resistance) && !s.knows(Cause::Inertia) && !s.knows(Cause::Temperature));
         assert!(s.remainder["p2"] < 1e-5, "{:?}", s.remainder);

@@ -85,10 +85,9 @@ fn refine(a: &DiagnoseArgs, settings: &Settings, case: &Case) -> Result<Refined>
 }
 
 fn refined_json(r: &Refined) -> serde_json::Value {
-    let interval = |i: Interval, e: f64, sigma: f64| serde_json::json!({"lo": i.lo, "hi": i.hi, "estimate": e, "sigma": sigma});
-    let cause = |c: &refine::FittedCause| {
-        serde_json::json!({"cause": c.cause.key(), "share_of_half_width": c.share, "sigma": c.sigma})
-    };
+    let interval =
+        |i: Interval, e: f64, sigma: f64| serde_json::json!({"lo": i.lo, "hi": i.hi, "estimate": e, "sigma": sigma});
+    let cause = |c: &refine::FittedCause| serde_json::json!({"cause": c.cause.key(), "share_of_half_width": c.share, "sigma": c.sigma});
     serde_json::json!({
         "fsj": interval(r.fsj, r.estimate.0, r.sigma.0),
         "zeta": interval(r.zeta, r.estimate.1, r.sigma.1),
@@ -159,7 +158,11 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         known: a.known.clone(),
     };
     let case = case::run(&a.file, &settings)?;
-    let refined = if a.refine { Some(refine(a, &settings, &case)?) } else { None };
+    let refined = if a.refine {
+        Some(refine(a, &settings, &case)?)
+    } else {
+        None
+    };
     // what no pair of faults explains is something that the model does not have
     let next = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. }).then(|| a.study());
     if a.json {

@@ -49,7 +49,10 @@ pub fn compare(
         let r = refine(&test, Some(Start::of(area)), 0.95, u.seed)?.context("interrupted")?;
         let (fsj, zeta) = (u.fault.fsj, u.fault.zeta);
         let side = |lo: f64, hi: f64, x: f64| (0.5 * (hi - lo), (x - 0.5 * (lo + hi)).abs());
-        let (mf, mz) = (side(area.fsj.lo, area.fsj.hi, fsj), side(area.zeta.lo, area.zeta.hi, zeta));
+        let (mf, mz) = (
+            side(area.fsj.lo, area.fsj.hi, fsj),
+            side(area.zeta.lo, area.zeta.hi, zeta),
+        );
         let (rf, rz) = (side(r.fsj.lo, r.fsj.hi, fsj), side(r.zeta.lo, r.zeta.hi, zeta));
         pairs.push(Pair {
             fsj,
