@@ -27,6 +27,7 @@ pub struct MapBudget {
     /// of the map between its grid points, from leave-one-out: root mean square over the grid
     pub interpolation: f64,
     /// of the projection onto the monotone surface: root mean square over the grid
+    #[serde(default)]
     pub projection: f64,
     /// one sample of the command, where the feature is a command at a sample: the whole step, not yet
     /// divided by sqrt(3)

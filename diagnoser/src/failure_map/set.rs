@@ -51,9 +51,11 @@ pub struct FailureMapSet {
 #[derive(Serialize, Deserialize)]
 struct Stored {
     header: MapSetHeader,
-    nominal: [Option<f64>; RawFeatures::COUNT],
+    /// in the order of [`RawFeatures::COLUMNS`]; what is missing at the end is not known
+    nominal: Vec<Option<f64>>,
     budgets: BTreeMap<String, MapBudget>,
-    /// direction along (FSJ, zeta) of each map
+    /// direction along (FSJ, zeta) of each map; the usual one where there is none
+    #[serde(default)]
     directions: BTreeMap<String, (f64, f64)>,
 }
 
@@ -118,7 +120,7 @@ impl FailureMapSet {
         };
         let stored = Stored {
             header: h.clone(),
-            nominal: self.nominal.values(),
+            nominal: self.nominal.values().to_vec(),
             budgets: self
                 .all()
                 .map(|m| (m.feature.name().to_string(), m.budget.clone()))
@@ -214,7 +216,7 @@ impl FailureMapSet {
                 continue;
             }
             let direction = stored.directions.get(feature.name()).copied();
-            let direction = direction.ok_or_else(|| Error::bad(&file, "directions", "nothing", feature.name()))?;
+            let direction = direction.unwrap_or(feature.direction());
             let mut map = FailureMap::build(&file, feature, direction, &fsj, &zeta, raw, budget.noise, budget.sample)?;
             map.budget = budget;
             maps.push(map);
@@ -222,7 +224,8 @@ impl FailureMapSet {
         if maps.len() < 2 {
             return Err(Error::bad(&file, "maps", maps.len(), "at least two maps"));
         }
-        let nominal = RawFeatures::from_values(stored.nominal, Some(stored.header.rest_angle_rad));
+        let nominal = std::array::from_fn(|k| stored.nominal.get(k).copied().flatten());
+        let nominal = RawFeatures::from_values(nominal, Some(stored.header.rest_angle_rad));
         Ok(Self {
             header: stored.header,
             nominal,
