@@ -267,10 +267,13 @@ impl Diagnoser {
             return Vec::new();
         };
         let b = &map.budget;
+        let surfaces = self.calibration.as_ref().and_then(|c| c.surfaces.as_ref());
+        // what simulated units show of it
+        let share = surfaces.map_or(1.0, |s| s.share(feature));
         let mut parts: Vec<(String, f64)> = vec![
-            ("sensors".into(), b.noise),
-            ("one sample".into(), b.sample / 3f64.sqrt()),
-            ("interpolation and projection".into(), map.error_at(fsj, zeta)),
+            ("sensors".into(), share * b.noise),
+            ("one sample".into(), share * b.sample / 3f64.sqrt()),
+            ("interpolation and projection".into(), share * map.error_at(fsj, zeta)),
         ];
         if let Some((c, s)) = self.calibration.as_ref().and_then(|c| Some((c, c.surfaces.as_ref()?))) {
             for (cause, half) in c.spread().causes() {

@@ -8,9 +8,13 @@ use crate::uncertainty::{Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, S
 use schemas::feature::{Feature, Features};
 use sim_worker::spread::Cause;
 
-/// Lattice lines between two lines of the grid: what is bilinear between them departs from the monotone
+/// Most lattice lines between two lines of the grid: what is bilinear between them departs from the monotone
 /// cubic by a sixteenth of what it would on the grid itself.
 const BETWEEN: usize = 4;
+
+/// Lines of the lattice along an axis from which on there are fewer between: it should stay in the processor's
+/// cache.
+const LINES: usize = 140;
 
 /// Share of the range by which maps go on straight beyond their ends: to see on which side faults lie.
 const BEYOND: f64 = 0.25;
@@ -116,13 +120,14 @@ impl Estimator {
             let left = surfaces
                 .and_then(|s| s.remainder.get(m.feature.name()))
                 .map_or(0.0, |x| x * x);
+            let share = surfaces.map_or(1.0, |s| s.share(m.feature));
             let least = (FLOOR * (hi - lo)).powi(2);
             for (r, &z) in zeta.iter().enumerate() {
                 let curve = m.curve(z);
                 for (c, &f) in fsj.iter().enumerate() {
                     let i = r * fsj.len() + c;
                     nodes[i][k] = m.on_curve(&curve, f);
-                    variances[i][k] = m.uncertainty(f, z).powi(2) + left + least;
+                    variances[i][k] = (share * m.uncertainty(f, z)).powi(2) + left + least;
                 }
             }
         }
@@ -510,11 +515,12 @@ fn apply(w: &[Row; MOST], r: &Row) -> Row {
     out
 }
 
-/// Lines of an axis and [`BETWEEN`] - 1 between each two of them.
+/// Lines of an axis and some between each two of them.
 fn finer(axis: &[f64]) -> Vec<f64> {
+    let n = (LINES / axis.len()).clamp(1, BETWEEN);
     let between = |w: &[f64]| {
         let (a, b) = (w[0], w[1]);
-        (0..BETWEEN).map(move |k| a + (b - a) * k as f64 / BETWEEN as f64)
+        (0..n).map(move |k| a + (b - a) * k as f64 / n as f64)
     };
     let mut lines: Vec<f64> = axis.windows(2).flat_map(between).collect();
     lines.extend(axis.last());

@@ -94,6 +94,9 @@ pub struct ResponseSurfaces {
     bends: BTreeMap<String, Vec<Bend>>,
     /// by feature name: standard uncertainty of what slopes and bends leave, in the feature's unit
     pub remainder: BTreeMap<String, f64>,
+    /// by feature name: share of the uncertainty that the map states which the units show; 1 where they show more
+    #[serde(default)]
+    shares: BTreeMap<String, f64>,
 }
 
 /// One simulated unit: its faults, deviations, and its features less the maps'.
@@ -145,7 +148,7 @@ impl ResponseSurfaces {
         (0..n).for_each(|i| normal[(i, i)] += ridge);
         let solver = normal.cholesky().expect("positive definite by the ridge");
         let (mut slopes, mut bends) = (BTreeMap::new(), BTreeMap::new());
-        let mut remainder = BTreeMap::new();
+        let (mut remainder, mut shares) = (BTreeMap::new(), BTreeMap::new());
         let features = samples.first().map_or(&[][..], |s| &s.residual);
         for (k, (feature, _, _)) in features.iter().enumerate() {
             let y = DVector::from_iterator(samples.len(), samples.iter().map(|s| s.residual[k].1));
@@ -161,7 +164,10 @@ impl ResponseSurfaces {
             bends.insert(feature.name().to_string(), pairs.iter().enumerate().map(bend).collect());
             let stated = samples.iter().map(|s| s.residual[k].2.powi(2)).sum::<f64>();
             let free = (samples.len() as f64 - n as f64).max(1.0);
-            let variance = (left.norm_squared() / free - stated / samples.len() as f64).max(0.0);
+            let (shown, stated) = (left.norm_squared() / free, stated / samples.len() as f64);
+            let share = if stated > 0.0 { (shown / stated).min(1.0).sqrt() } else { 1.0 };
+            shares.insert(feature.name().to_string(), share);
+            let variance = (shown - stated).max(0.0);
             slopes.insert(feature.name().to_string(), slope);
             remainder.insert(feature.name().to_string(), variance.sqrt());
         }
@@ -171,7 +177,14 @@ impl ResponseSurfaces {
             pairs: pairs.iter().map(|&(i, j)| (acting[i], acting[j])).collect(),
             bends,
             remainder,
+            shares,
         }
+    }
+
+    /// Share of the uncertainty that the map of a feature states which simulated units show: leave-one-out
+    /// errors overstate it where one point scatters as much as the next.
+    pub fn share(&self, feature: Feature) -> f64 {
+        self.shares.get(feature.name()).copied().unwrap_or(1.0)
     }
 
     /// Whether there is a slope for this cause, or for what it acts through.

@@ -127,7 +127,13 @@ impl Spread {
     }
 
     pub fn from_section(mut s: Section) -> Result<Self> {
-        let name = s.text("name", "a text")?;
+        // files of its calibrations are called by it
+        let allowed = "letters, digits, - and _";
+        let name = s.text("name", allowed)?;
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        if name.is_empty() || !name.chars().all(plain) {
+            return Err(s.bad("name", &name, allowed));
+        }
         let mut half_width = [0.0; Cause::COUNT];
         for (cause, h) in Cause::ALL.into_iter().zip(&mut half_width) {
             *h = match cause {

@@ -18,14 +18,15 @@ const AREA: RGBColor = RGBColor(30, 41, 59);
 const TRUTH: RGBColor = RGBColor(214, 30, 38);
 const ESTIMATE: RGBColor = RGBColor(20, 92, 214);
 
-/// Colours of the regions: teal, amber, violet, grey, olive, rose.
-const REGIONS: [RGBColor; 6] = [
+/// Colours of the regions: teal, amber, violet, grey, olive, rose, sky.
+const REGIONS: [RGBColor; 7] = [
     RGBColor(27, 158, 142),
     RGBColor(230, 150, 10),
     RGBColor(140, 100, 200),
     RGBColor(120, 130, 142),
     RGBColor(120, 150, 40),
     RGBColor(205, 100, 140),
+    RGBColor(40, 140, 220),
 ];
 
 /// Colours of the traces, told apart with colour vision deficiencies as well.

@@ -1,4 +1,4 @@
-//! `cargo run --release -p ema-tests --bin diagnosis-bench -- [--tests N] [--seed N] [--refined N] [--coverage] [--record OUT.md]`:
+//! `cargo run --release -p ema-tests --bin diagnosis-bench -- [--grid NAME] [--tests N] [--seed N] [--refined N] [--coverage] [--record OUT.md]`:
 //! coverage, widths, errors, silent misses and time of diagnoses, on tests that maps and calibration have
 //! not seen. Takes some minutes; `--coverage` ends after the coverage.
 
@@ -18,6 +18,7 @@ const EFFORT: Effort = Effort {
 };
 
 struct Options {
+    grid: String,
     tests: usize,
     seed: u64,
     coverage_only: bool,
@@ -29,6 +30,7 @@ struct Options {
 impl Options {
     fn parse(mut args: impl Iterator<Item = String>) -> Result<Self> {
         let mut options = Self {
+            grid: "fine".into(),
             tests: 1000,
             seed: 1,
             coverage_only: false,
@@ -38,12 +40,13 @@ impl Options {
         while let Some(arg) = args.next() {
             let mut value = || args.next().with_context(|| format!("{arg} needs a value"));
             match arg.as_str() {
+                "--grid" => options.grid = value()?,
                 "--tests" => options.tests = value()?.parse()?,
                 "--refined" => options.refined = value()?.parse()?,
                 "--seed" => options.seed = value()?.parse()?,
                 "--record" => options.record = Some(value()?),
                 "--coverage" => options.coverage_only = true,
-                _ => anyhow::bail!("{arg}: --tests N, --seed N, --refined N, --coverage, --record FILE"),
+                _ => anyhow::bail!("{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --record FILE"),
             }
         }
         Ok(options)
@@ -64,7 +67,7 @@ fn main() -> Result<()> {
 }
 
 fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
-    let (set, kind) = reference_maps(&cache.join("maps"), "fine", 0.0)?;
+    let (set, kind) = reference_maps(&cache.join("maps"), &options.grid, 0.0)?;
     let mut out = String::from("# Diagnoses held against what they promise\n\n");
     let _ = writeln!(
         out,
