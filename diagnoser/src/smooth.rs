@@ -162,11 +162,13 @@ mod tests {
     #[test]
     fn prop_what_does_not_scatter_is_left_alone() {
         let (f, z) = axes();
-        // sharply bent, and its interpolation is good
+        // sharply bent at low zeta, and its interpolation is good: a window would flatten it
         let raw = surface(&f, &z, |f, z, _| (0.02 + (4.0 * z).powi(2)).sqrt() + 0.1 * f);
-        let own = vec![1e-5; raw.len()];
-        let s = smoothed(&f, &z, &raw, &own);
-        assert!(s.iter().zip(&raw).all(|(s, r)| s.value == *r && s.error == 1e-5));
+        let s = smoothed(&f, &z, &raw, &vec![1e-5; raw.len()]);
+        let bent = 33 * 4;
+        assert!((0..bent).all(|i| s[i].value == raw[i] && (s[i].error - 1e-5).abs() < 1e-12));
+        // where it is nearly straight a window may do as well
+        assert!(s.iter().zip(&raw).all(|(s, r)| (s.value - r).abs() < 1e-5));
         // too few points for any window
         let raw = [1.0, 2.0, 3.0, 4.0];
         let s = smoothed(&f[..2], &z[..2], &raw, &[0.1; 4]);

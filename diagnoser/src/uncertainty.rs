@@ -165,7 +165,11 @@ impl ResponseSurfaces {
             let stated = samples.iter().map(|s| s.residual[k].2.powi(2)).sum::<f64>();
             let free = (samples.len() as f64 - n as f64).max(1.0);
             let (shown, stated) = (left.norm_squared() / free, stated / samples.len() as f64);
-            let share = if stated > 0.0 { (shown / stated).min(1.0).sqrt() } else { 1.0 };
+            let share = if stated > 0.0 {
+                (shown / stated).min(1.0).sqrt()
+            } else {
+                1.0
+            };
             shares.insert(feature.name().to_string(), share);
             let variance = (shown - stated).max(0.0);
             slopes.insert(feature.name().to_string(), slope);
