@@ -410,6 +410,12 @@ impl Diagnoser {
 
     /// Witnesses that speak against the pair that the maps agree on.
     fn overruled(&self, features: &Features, best: &Estimate) -> Option<Outcome> {
+        // what they should be beyond the maps nobody knows
+        let limits = self.estimator.limits();
+        let within = |x: f64, (lo, hi): (f64, f64)| lo <= x && x <= hi;
+        if !(within(best.fsj, limits.f) && within(best.zeta, limits.z)) {
+            return None;
+        }
         let mut odd = self.estimator.witnesses(features, best);
         odd.retain(|(.., z)| z.abs() > self.witness_gate);
         odd.sort_by(|a, b| b.3.abs().total_cmp(&a.3.abs()));

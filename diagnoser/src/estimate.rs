@@ -17,7 +17,10 @@ const BETWEEN: usize = 4;
 const LINES: usize = 140;
 
 /// Share of the range by which maps go on straight beyond their ends: to see on which side faults lie.
-const BEYOND: f64 = 0.25;
+const BEYOND: f64 = 0.5;
+
+/// Uncertainty of what a map changes beyond its ends, as a share of the change (assumed).
+const GUESSED: f64 = 0.1;
 
 /// Pairs along each axis from which the best one is looked for.
 const STARTS: usize = 13;
@@ -127,7 +130,12 @@ impl Estimator {
                 for (c, &f) in fsj.iter().enumerate() {
                     let i = r * fsj.len() + c;
                     nodes[i][k] = m.on_curve(&curve, f);
-                    variances[i][k] = (share * m.uncertainty(f, z)).powi(2) + left + least;
+                    // how a map goes on beyond its end is a guess
+                    let within = |x: f64, (lo, hi): (f64, f64)| x.clamp(lo, hi);
+                    let (f_in, z_in) = (within(f, limits.f), within(z, limits.z));
+                    let guessed = GUESSED * (nodes[i][k] - m.at(f_in, z_in));
+                    let guessed = if (f_in, z_in) == (f, z) { 0.0 } else { guessed * guessed };
+                    variances[i][k] = (share * m.uncertainty(f, z)).powi(2) + left + least + guessed;
                 }
             }
         }
@@ -441,7 +449,8 @@ impl Estimator {
             let of_pair = (bb * slope_f * slope_f - 2.0 * ab * slope_f * slope_z + aa * slope_z * slope_z) / det;
             let of_causes = common_variance(&common, k);
             let own = w.uncertainty(fsj, zeta).powi(2) + self.witness_remainder[k].powi(2);
-            let u = (own + of_causes + of_pair.max(0.0)).sqrt().max(1e-300);
+            let least = least_uncertainty(w.feature);
+            let u = (own + of_causes + of_pair.max(0.0) + least * least).sqrt();
             Some((w.feature, found, expected, (found - expected) / u))
         };
         self.witnesses.iter().enumerate().filter_map(one).collect()
@@ -484,6 +493,17 @@ impl Estimator {
         let at_fsj = along(&self.lattice.zeta, z, &|x| (fsj, x));
         let at_zeta = along(&self.lattice.fsj, f, &|x| (x, zeta));
         at_fsj.max(at_zeta)
+    }
+}
+
+/// Uncertainty that a witness has at least, whatever the sensors: below what files and sensors resolve. Recordings
+/// without sensor noise would otherwise be refused for the rounding of their digits (all values assumed).
+fn least_uncertainty(witness: Feature) -> f64 {
+    match witness {
+        // a count of a 16 bit resolver
+        Feature::SineTravel => 1e-4,
+        // a milliampere; a thousandth of the current
+        _ => 1e-3,
     }
 }
 

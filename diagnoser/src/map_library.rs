@@ -203,7 +203,9 @@ impl MapLibrary {
             .map(|e| e.path().join("maps.parquet"))
             .filter(|f| f.is_file())
             .collect();
-        files.sort();
+        // the latest first: a cache may hold those of earlier versions of the program
+        let written = |f: &PathBuf| f.metadata().and_then(|m| m.modified()).ok();
+        files.sort_by_cached_key(|f| (std::cmp::Reverse(written(f)), f.clone()));
         files
     }
 

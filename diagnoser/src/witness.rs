@@ -111,26 +111,27 @@ impl SineWitness {
     /// spot; the straight line is the inertia's) [A].
     pub fn even_current_a(&self) -> Option<(f64, f64)> {
         let mean = |(sum, n): (f64, u32)| sum / f64::from(n);
-        let (mut x, mut y) = (Vec::new(), Vec::new());
+        // fixed in size: asked for with every frame, which must not allocate
+        let (mut x, mut y, mut count) = ([0.0; BINS], [0.0; BINS], 0);
         for k in 0..BINS {
             let (back, forth) = (self.bins[0][k], self.bins[1][k]);
             if back.1 >= FEWEST && forth.1 >= FEWEST {
-                x.push(k as f64);
-                y.push(0.5 * (mean(back) + mean(forth)));
+                (x[count], y[count]) = (k as f64, 0.5 * (mean(back) + mean(forth)));
+                count += 1;
             }
         }
-        if x.len() < BINS / 3 {
+        if count < BINS / 3 {
             return None;
         }
-        let n = x.len() as f64;
+        let (x, y, n) = (&x[..count], &y[..count], count as f64);
         let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
         let (mut xx, mut xy) = (0.0, 0.0);
-        for (x, y) in x.iter().zip(&y) {
+        for (x, y) in x.iter().zip(y) {
             xx += (x - mx) * (x - mx);
             xy += (x - mx) * (y - my);
         }
         let slope = xy / xx;
-        let left = x.iter().zip(&y).map(|(x, y)| (y - my - slope * (x - mx)).powi(2));
+        let left = x.iter().zip(y).map(|(x, y)| (y - my - slope * (x - mx)).powi(2));
         Some((my, (left.sum::<f64>() / n).sqrt()))
     }
 }
