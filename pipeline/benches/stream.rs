@@ -4,7 +4,7 @@
 
 use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
 use diagnoser::live::Known;
-use diagnoser::map_library::{MapKey, MapLibrary};
+use diagnoser::map_library::{Choice, MapKey, MapLibrary};
 use diagnoser::receive::{Options, Show, receive};
 use pipeline::maps::{self, MapRequest};
 use schemas::channel::{Channel, ChannelSet};
@@ -252,7 +252,7 @@ fn make_maps() {
         equivalent_current: false,
         grid: sim_worker::datasets::grid("fine").unwrap(),
     };
-    maps::cached(&request).unwrap();
+    maps::cached(&request, &Choice::usual(), &Vec::new()).unwrap();
 }
 
 /// Processor time of this process [s].
@@ -290,7 +290,10 @@ fn role_live(diagnoses: u64, busy: bool, core: Option<usize>) {
         exit_after: Some(diagnoses),
         timeout: Duration::from_secs(10),
     };
-    let source = move |key: &MapKey| library.find(key).ok_or_else(|| "no maps".to_string());
+    let source = move |key: &MapKey| {
+        let found = library.diagnoser(key, &Choice::usual());
+        found.ok_or("no maps".to_string())?.map_err(|e| e.to_string())
+    };
     let start = cpu_s();
     let counts = receive(options, Box::new(source), &Arc::new(AtomicBool::new(false))).unwrap();
     println!("{} {} {}", counts.located, counts.incomplete, cpu_s() - start);

@@ -9,18 +9,27 @@ use schemas::feature::RawFeatures;
 use sim_worker::spread::Spread;
 use std::fmt::Write;
 
-/// One test by both: (FSJ, zeta) half-widths and how far the truth lies from the middle.
+/// Intervals of (FSJ, zeta): half-widths, and how far the truth lies from their middles.
+#[derive(Clone, Copy)]
+struct Sides {
+    half: (f64, f64),
+    off: (f64, f64),
+}
+
+/// One test by both.
 struct Pair {
     fsj: f64,
-    maps: ((f64, f64), (f64, f64)),
-    refined: ((f64, f64), (f64, f64)),
+    maps: Sides,
+    refined: Sides,
     settled: bool,
 }
 
+type Of = fn(&Pair) -> Sides;
+
 /// By how much intervals must be stretched about their middles to hold the truth of a share of the tests.
-fn stretch(pairs: &[Pair], of: fn(&Pair) -> ((f64, f64), (f64, f64)), share: f64) -> f64 {
+fn stretch(pairs: &[Pair], of: Of, share: f64) -> f64 {
     let needed = pairs.iter().map(|p| {
-        let (half, off) = of(p);
+        let Sides { half, off } = of(p);
         (off.0 / half.0).max(off.1 / half.1)
     });
     quantile(needed, share)
@@ -54,16 +63,20 @@ pub fn compare(
             side(area.zeta.lo, area.zeta.hi, zeta),
         );
         let (rf, rz) = (side(r.fsj.lo, r.fsj.hi, fsj), side(r.zeta.lo, r.zeta.hi, zeta));
+        let sides = |f: (f64, f64), z: (f64, f64)| Sides {
+            half: (f.0, z.0),
+            off: (f.1, z.1),
+        };
         pairs.push(Pair {
             fsj,
-            maps: ((mf.0, mz.0), (mf.1, mz.1)),
-            refined: ((rf.0, rz.0), (rf.1, rz.1)),
+            maps: sides(mf, mz),
+            refined: sides(rf, rz),
             settled: r.converged,
         });
     }
-    let coverage = |of: fn(&Pair) -> ((f64, f64), (f64, f64))| {
+    let coverage = |of: Of| {
         let inside = |p: &&Pair| {
-            let (half, off) = of(p);
+            let Sides { half, off } = of(p);
             off.0 <= half.0 && off.1 <= half.1
         };
         pairs.iter().filter(inside).count()
@@ -77,27 +90,26 @@ pub fn compare(
          about their middles until they hold 95 % of these tests.\n\n| | truth inside % | width FSJ | width zeta | stretch to 95 % \
          |\n|---|---|---|---|---|"
     );
-    type Of = fn(&Pair) -> ((f64, f64), (f64, f64));
     let rows: [(&str, Of); 2] = [("maps", |p| p.maps), ("by running the simulator", |p| p.refined)];
     let mut at_equal = Vec::new();
     for (title, of) in rows {
         let k = stretch(&pairs, of, 0.95);
-        let fsj = quantile(pairs.iter().map(|p| 200.0 * of(p).0.0 / p.fsj), 0.5);
-        let zeta = quantile(pairs.iter().map(|p| 2.0 * of(p).0.1), 0.5);
+        let fsj = quantile(pairs.iter().map(|p| 200.0 * of(p).half.0 / p.fsj), 0.5);
+        let zeta = quantile(pairs.iter().map(|p| 2.0 * of(p).half.1), 0.5);
         let inside = super::percent(coverage(of), n);
         let _ = writeln!(out, "| {title} | {inside} | {fsj:.3} % | {zeta:.5} | {k:.2} |");
         at_equal.push((k * fsj, k * zeta));
     }
     let ratio = |f: fn(&(f64, f64)) -> f64| f(&at_equal[0]) / f(&at_equal[1]);
-    let raw = |f: fn(((f64, f64), (f64, f64))) -> f64| quantile(pairs.iter().map(|p| f(p.maps) / f(p.refined)), 0.5);
+    let raw = |f: fn(Sides) -> f64| quantile(pairs.iter().map(|p| f(p.maps) / f(p.refined)), 0.5);
     let _ = writeln!(
         out,
         "\n- maps over simulator at equal coverage: FSJ {:.2}, zeta {:.2}\n- median of the ratios as reported: FSJ {:.2}, zeta \
          {:.2}\n",
         ratio(|w| w.0),
         ratio(|w| w.1),
-        raw(|w| w.0.0),
-        raw(|w| w.0.1)
+        raw(|w| w.half.0),
+        raw(|w| w.half.1)
     );
     Ok(out)
 }
