@@ -106,7 +106,7 @@ pub fn percent(k: usize, n: usize) -> String {
     format!(
         "{:.1} [{:.1}, {:.1}]",
         100.0 * p,
-        100.0 * (middle - half),
+        100.0 * (middle - half).max(0.0),
         100.0 * (middle + half)
     )
 }

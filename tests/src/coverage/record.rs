@@ -91,9 +91,14 @@ pub fn defect_row(title: &str, cases: &[Case]) -> String {
     let named = |f: Feature| (count(&|c| c.contradicting.contains(&f)), f.name());
     let mut names: Vec<(usize, &str)> = Feature::every().map(named).filter(|(k, _)| *k > 0).collect();
     names.sort_by(|a, b| b.cmp(a));
+    let width = if width.is_nan() {
+        "-".into()
+    } else {
+        format!("{width:.2} %")
+    };
     let names: Vec<String> = names.iter().take(3).map(|(k, name)| format!("{name} {k}")).collect();
     format!(
-        "| {title} | {n} | {} | {} | {} | {} | {width:.2} % | {} |\n",
+        "| {title} | {n} | {} | {} | {} | {} | {width} | {} |\n",
         count(&|c| c.outcome == "unexplained"),
         count(&|c| c.outcome == "out_of_range"),
         count(&|c| c.inside),
