@@ -368,8 +368,8 @@ impl Diagnoser {
             return Outcome::Incomplete { reason, area };
         }
         let best = self.estimator.best(&values, self.gate);
+        *misfit = best.as_ref().map(|b| b.misfit);
         if let Some(best) = best.filter(|b| b.misfit <= self.gate) {
-            *misfit = Some(best.misfit);
             if let Some(outcome) = self.overruled(features, &best) {
                 return outcome;
             }
@@ -378,7 +378,6 @@ impl Diagnoser {
                 None => self.outside(&best),
             };
         }
-        *misfit = self.estimator.best(&values, self.gate).map(|b| b.misfit);
         self.nowhere(&values, *misfit)
     }
 

@@ -179,41 +179,6 @@ impl Piece {
     }
 }
 
-/// The last place from `within` towards `beyond` at which a continuous function is 0 or less, to a
-/// tolerance: false position with a truncated step, kept so near the middle that it takes at most
-/// one evaluation more than bisection (ITP; Oliveira and Takahashi 2020).
-///
-/// * `within` a place and its value, 0 or less
-/// * `beyond` a place and its value, above 0 and possibly infinite
-pub fn last_within(
-    mut function: impl FnMut(f64) -> f64,
-    within: (f64, f64),
-    beyond: (f64, f64),
-    tolerance: f64,
-) -> f64 {
-    let ((mut a, mut fa), (mut b, mut fb)) = (within, beyond);
-    let whole = (b - a).abs();
-    // the half-width that bisection, one step behind, may still have
-    let mut allowed = tolerance * (whole / tolerance).log2().ceil().exp2();
-    while (b - a).abs() > tolerance {
-        let (middle, width) = (0.5 * (a + b), (b - a).abs());
-        let guess = if fb.is_finite() {
-            a + (b - a) * (fa / (fa - fb))
-        } else {
-            middle
-        };
-        // a little beyond the root, towards the middle, so that both ends close in on it
-        let shift = (0.2 * width * width / whole).max(0.5 * tolerance);
-        let off = guess - middle;
-        let off = off.signum() * (off.abs() - shift).clamp(0.0, (allowed - 0.5 * width).max(0.0));
-        let t = middle + off;
-        allowed *= 0.5;
-        let f = function(t);
-        if f <= 0.0 { (a, fa) = (t, f) } else { (b, fb) = (t, f) }
-    }
-    a
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -265,20 +230,6 @@ mod tests {
         assert!((from(0.0, end).unwrap() - 1.5).abs() < 1e-9);
         assert_eq!((to(-1.0, start), from(-1.0, end)), (Some(1.0), None));
         assert_eq!((to(2.6, start), from(2.6, end)), (None, Some(5.0)));
-    }
-
-    #[test]
-    fn prop_last_within_ends_on_the_inside() {
-        for root in [0.1, 0.25, 0.500_001, 0.999] {
-            let kinked = |t: f64| if t < root { t - root } else { 1e3 * (t - root) };
-            let steps = |t: f64| if t > root + 1e-3 { f64::INFINITY } else { t - root };
-            for t in [
-                last_within(kinked, (0.0, kinked(0.0)), (1.0, kinked(1.0)), 1e-12),
-                last_within(steps, (0.0, steps(0.0)), (1.0, steps(1.0)), 1e-12),
-            ] {
-                assert!(t <= root && root - t <= 1e-12, "{root}: {t}");
-            }
-        }
     }
 
     #[test]
