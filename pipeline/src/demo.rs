@@ -1,6 +1,6 @@
 //! `ema demo`: grid, maps, the four cases of the paper's Table I, and a report.
 
-use crate::calibrate::{Effort, TestKind, calibrate};
+use crate::calibrate::{Effort, TestKind};
 use crate::case::{self, Settings};
 use crate::generate::{COMMIT, Plan, generate};
 use crate::maps;
@@ -151,11 +151,7 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
         Some(sensors.clone()),
     )?;
     let choice = Choice::usual();
-    if !matches!(choice.calibration(&maps_file, &set), Ok(Some(_))) {
-        let made = calibrate(&set, &kind, &choice.spread, Effort::QUICK)?.ok_or(crate::Interrupted)?;
-        made.save(&choice.calibration_file(&maps_file))?;
-    }
-    let diagnoser = choice.ready(&maps_file, set, &Vec::new())?;
+    let diagnoser = maps::calibrated(&maps_file, set, &kind, &choice, &Vec::new())?;
     let set = &diagnoser.maps;
 
     // the cases: simulated noise free once, recorded through the sensors

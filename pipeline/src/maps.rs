@@ -85,10 +85,18 @@ pub fn cache_dir() -> PathBuf {
 pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Diagnoser> {
     let dir = cache_dir().join("maps").join(request.plan()?.fingerprint());
     let set = made(&dir, request)?;
-    let file = dir.join("maps.parquet");
-    // a calibration that cannot be used is made anew
-    if !matches!(choice.calibration(&file, &set), Ok(Some(_))) {
-        let kind = request.kind();
+    calibrated(&dir.join("maps.parquet"), set, &request.kind(), choice, known)
+}
+
+/// Saved maps made ready, calibrated quickly where there is no calibration beside them that can be used.
+pub fn calibrated(
+    file: &Path,
+    set: FailureMapSet,
+    kind: &TestKind,
+    choice: &Choice,
+    known: &Known,
+) -> Result<Diagnoser> {
+    if !matches!(choice.calibration(file, &set), Ok(Some(_))) {
         let n = Effort::QUICK.runs
             + if choice.spread.is_none() {
                 0
@@ -99,10 +107,10 @@ pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Di
             "calibrating the maps ({n} runs, spread {})",
             choice.spread.name
         ));
-        let made = calibrate(&set, &kind, &choice.spread, Effort::QUICK)?.ok_or(crate::Interrupted)?;
-        made.save(&choice.calibration_file(&file))?;
+        let made = calibrate(&set, kind, &choice.spread, Effort::QUICK)?.ok_or(crate::Interrupted)?;
+        made.save(&choice.calibration_file(file))?;
     }
-    Ok(choice.ready(&file, set, known)?)
+    Ok(choice.ready(file, set, known)?)
 }
 
 /// Maps for a request from a folder, made there on first use.
