@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Which shared memory.
 #[derive(Args, Clone, Debug)]
@@ -185,23 +185,11 @@ fn run(program: &Program, stop: &Arc<AtomicBool>) -> Result<u8> {
     program.live.run(known, Box::new(source), stop)
 }
 
-/// From now on Ctrl-C (and SIGTERM) sets `stop`; another one a second later ends the process at
-/// once. (Some programs that stop others signal twice.)
-pub fn catch_interrupts(stop: Arc<AtomicBool>) {
-    let mut first: Option<Instant> = None;
-    let _ = ctrlc::set_handler(move || {
-        stop.store(true, Ordering::SeqCst);
-        if first.get_or_insert_with(Instant::now).elapsed() > Duration::from_secs(1) {
-            std::process::exit(i32::from(EXIT_INTERRUPTED));
-        }
-    });
-}
-
 /// The program `diagnoser`.
 pub fn main() -> ExitCode {
     let program = Program::parse();
     let stop = Arc::new(AtomicBool::new(false));
-    catch_interrupts(stop.clone());
+    sim_worker::interrupt::catch(stop.clone());
     match run(&program, &stop) {
         Ok(code) => ExitCode::from(code),
         Err(e) => {

@@ -1,11 +1,10 @@
-//! What flies: features from telemetry, failure maps, and their inversion to fault intervals, live
+//! What flies: failure maps of features, and their inversion to fault intervals, live
 //! or of a recording.
 pub mod calibration;
 pub mod cli;
 pub mod curves;
 pub mod diagnosis;
 pub mod estimate;
-pub mod extractor;
 pub mod failure_map;
 pub mod isotonic;
 pub mod live;
@@ -21,4 +20,3 @@ pub mod sensitivity;
 pub mod smooth;
 pub mod uncertainty;
 pub mod view;
-pub mod witness;

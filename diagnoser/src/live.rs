@@ -4,12 +4,12 @@
 mod track;
 
 use crate::diagnosis::{Diagnoser, Diagnosis, Outcome};
-use crate::extractor::{FeatureExtractor, FeaturePlan};
 use crate::map_library::MapKey;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::feature::{Features, RawFeatures};
 use schemas::sequence::TestSequence;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
+use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;

@@ -2,7 +2,6 @@
 //! on either side, and a Unix socket; what the diagnosis adds; how much one core carries. The
 //! receivers are processes of their own (this program again, with a role).
 
-use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
 use diagnoser::live::Known;
 use diagnoser::map_library::{Choice, MapKey, MapLibrary};
 use diagnoser::receive::{Options, Show, receive};
@@ -15,6 +14,7 @@ use schemas::stream::publisher::{Delivery, Pass, Publisher};
 use schemas::stream::subscriber::Subscriber;
 use schemas::stream::{Domain, now_ns};
 use schemas::telemetry::{Collector, TelemetryView};
+use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::simulate::{Experiment, LANES, Run, simulate};
 use sim_worker::test_bench::Lane;

@@ -2,16 +2,15 @@
 
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
-use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
-use schemas::channel::ChannelSet;
 use schemas::error::{Error, Result};
 use schemas::fault::FaultGrid;
 use schemas::feature::RawFeatures;
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::recording::{Provenance, Recorder, Recording, metadata, write_table};
 use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
+use sim_worker::extractor::FeaturePlan;
+use sim_worker::noise::{FEATURE_SEEDS, FeatureSink, FeatureValues, Noise};
 use sim_worker::parameters::ActuatorParameters;
-use sim_worker::sensor::{SensorModel, SensorNoise, Sensors};
 use sim_worker::simulate::{Experiment, Run};
 use sim_worker::test_bench::Lane;
 use sim_worker::worker::{Block, Folder, Progress, Store, blocks, work};
@@ -24,10 +23,6 @@ pub const COMMIT: &str = env!("EMA_COMMIT");
 /// Hash of the sources that results depend on: results of other sources are never mixed with
 /// those of this program.
 pub const SOURCE: &str = env!("EMA_SOURCE");
-
-/// Seeds over which the features of a run are averaged when there is a sensor model. The same
-/// seeds serve every run, so that the maps stay smooth.
-pub const FEATURE_SEEDS: u64 = 16;
 
 /// A grid of runs and what to keep of them.
 #[derive(Clone, Debug)]
@@ -126,80 +121,11 @@ impl Plan {
     }
 }
 
-/// Sensor model and noise that all runs of a plan share.
-struct Noise {
-    model: SensorModel,
-    seeds: Vec<SensorNoise>,
-}
-
-impl Noise {
-    /// The sensors of the run that `header` describes, with the noise of one seed.
-    fn sensors<'a>(&'a self, noise: &'a SensorNoise, header: &TelemetryHeader, gear_ratio: f64) -> Sensors<'a> {
-        let rest_angle_rad = header.rest_angle_rad.unwrap_or(0.0);
-        Sensors {
-            model: &self.model,
-            noise,
-            gear_ratio,
-            rest_angle_rad,
-        }
-    }
-}
-
-/// Features of one run, averaged over noise seeds.
-struct FeatureSink {
-    plan: Arc<FeaturePlan>,
-    noise: Option<Arc<Noise>>,
-    extractors: Vec<FeatureExtractor>,
-    gear_ratio: f64,
-    measured: TelemetryBuffer,
-}
-
-impl FeatureSink {
-    fn new(plan: Arc<FeaturePlan>, noise: Option<Arc<Noise>>, gear_ratio: f64, channels: ChannelSet) -> Self {
-        let n = noise.as_ref().map_or(1, |n| n.seeds.len());
-        let extractors = vec![FeatureExtractor::new(plan.clone()); n];
-        Self {
-            plan,
-            noise,
-            extractors,
-            gear_ratio,
-            measured: TelemetryBuffer::new(channels, 512),
-        }
-    }
-
-    fn push(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) {
-        let Some(noise) = &self.noise else {
-            return self.extractors[0].push(view);
-        };
-        if !self.plan.needs(view.first, view.rows) {
-            return;
-        }
-        for (seed, x) in noise.seeds.iter().zip(&mut self.extractors) {
-            noise
-                .sensors(seed, header, self.gear_ratio)
-                .measure(view, &mut self.measured);
-            x.push(&self.measured.view());
-        }
-    }
-
-    /// Mean and standard deviation over the seeds, in the order of [`RawFeatures::COLUMNS`].
-    fn result(&self) -> [(Option<f64>, f64); RawFeatures::COUNT] {
-        let all: Vec<[Option<f64>; RawFeatures::COUNT]> =
-            self.extractors.iter().map(|x| x.features().values()).collect();
-        std::array::from_fn(|k| {
-            let values: Option<Vec<f64>> = all.iter().map(|v| v[k]).collect();
-            let Some(v) = values else { return (None, 0.0) };
-            let mean = v.iter().sum::<f64>() / v.len() as f64;
-            let var = v.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / (v.len().max(2) - 1) as f64;
-            (Some(mean), var.sqrt())
-        })
-    }
-}
-
 /// Sink of one run: recorder, features, or both.
 pub struct RunSink {
     recorder: Option<Recorder>,
-    noise: Option<(Arc<Noise>, SensorNoise)>,
+    /// of the recording
+    noise: Option<Noise>,
     measured: TelemetryBuffer,
     features: Option<FeatureSink>,
     gear_ratio: f64,
@@ -211,10 +137,8 @@ impl TelemetrySink for RunSink {
             f.push(header, view);
         }
         if let Some(r) = &mut self.recorder {
-            if let Some((noise, seed)) = &self.noise {
-                noise
-                    .sensors(seed, header, self.gear_ratio)
-                    .measure(view, &mut self.measured);
+            if let Some(noise) = &self.noise {
+                noise.measure(header, self.gear_ratio, view, &mut self.measured);
                 r.accept(header, &self.measured.view())?;
             } else {
                 r.accept(header, view)?;
@@ -257,7 +181,7 @@ impl Store for DatasetStore<'_> {
         let sink = |run: &Run| {
             Ok(RunSink {
                 recorder: if self.plan.keep_telemetry {
-                    let single = self.noise.is_some();
+                    let single = self.plan.experiment.sensors.is_some();
                     Some(Recorder::create(
                         &self.run_path(run),
                         &self.plan.provenance(),
@@ -267,21 +191,15 @@ impl Store for DatasetStore<'_> {
                 } else {
                     None
                 },
-                noise: match &self.noise {
-                    Some(n) if self.plan.keep_telemetry => {
-                        Some((n.clone(), SensorNoise::new(run.seed, self.rows as usize)))
-                    }
+                noise: match &self.plan.experiment.sensors {
+                    Some(model) if self.plan.keep_telemetry => Some(Noise::of_run(model, run.seed, self.rows)),
                     _ => None,
                 },
                 measured: TelemetryBuffer::new(channels, 512),
-                features: self.plan.keep_features.then(|| {
-                    FeatureSink::new(
-                        self.feature_plan.clone(),
-                        self.noise.clone(),
-                        gear_ratio,
-                        self.feature_plan.channels(),
-                    )
-                }),
+                features: self
+                    .plan
+                    .keep_features
+                    .then(|| FeatureSink::new(self.feature_plan.clone(), self.noise.clone())),
                 gear_ratio,
             })
         };
@@ -306,7 +224,7 @@ impl Store for DatasetStore<'_> {
 }
 
 /// A run, and mean and standard deviation of each of [`RawFeatures::COLUMNS`].
-type FeatureRow<'a> = (&'a Run, [(Option<f64>, f64); RawFeatures::COUNT]);
+type FeatureRow<'a> = (&'a Run, FeatureValues);
 
 /// Features table of one block.
 fn write_features(path: &Path, provenance: &Provenance, rows: &[FeatureRow<'_>]) -> Result<()> {
@@ -340,15 +258,11 @@ pub fn generate(plan: &Plan, dir: &Path, title: &str) -> Result<Option<u64>> {
     let folder = Folder::open(dir, &plan.fingerprint(), &plan.description())?;
     let e = &plan.experiment;
     let rows = e.rows();
-    let noise = e.sensors.as_ref().map(|model| {
-        let seeds = if plan.keep_features { FEATURE_SEEDS } else { 0 };
-        Arc::new(Noise {
-            model: model.clone(),
-            seeds: (0..seeds)
-                .map(|s| SensorNoise::new(u64::MAX - s, rows as usize))
-                .collect(),
-        })
-    });
+    let seeds = if plan.keep_features { FEATURE_SEEDS } else { 0 };
+    let noise = e
+        .sensors
+        .as_ref()
+        .map(|model| Arc::new(Noise::common(model, seeds, rows)));
     let store = DatasetStore {
         plan,
         runs: if plan.keep_telemetry {

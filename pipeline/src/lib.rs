@@ -10,13 +10,14 @@ pub mod generate;
 pub mod input;
 pub mod maps;
 pub mod output;
-pub mod progress;
 pub mod query;
 pub mod refine;
 pub mod replay;
 pub mod report;
 pub mod report_pages;
 pub mod speed;
+
+pub use sim_worker::progress;
 
 /// Long work was stopped by Ctrl-C; what is done is kept.
 #[derive(Debug, thiserror::Error)]

@@ -14,3 +14,8 @@ pub fn exact(x: f64) -> String {
 pub fn fingerprint_bytes(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex()[..16].to_string()
 }
+
+/// BLAKE3 of a file's bytes, 64 hexadecimal digits.
+pub fn checksum(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
+}

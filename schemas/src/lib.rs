@@ -6,6 +6,7 @@ pub mod fault;
 pub mod feature;
 pub mod fingerprint;
 pub mod recording;
+pub mod run_encoder;
 pub mod sequence;
 pub mod stream;
 pub mod telemetry;

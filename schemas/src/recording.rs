@@ -104,6 +104,23 @@ impl Provenance {
     }
 }
 
+/// Columns of a telemetry table: run and faults, time, channels as f32 (`single`) or f64.
+pub(crate) fn telemetry_schema(channels: ChannelSet, single: bool) -> Schema {
+    let mut fields = vec![
+        Field::new("run", DataType::UInt64, false),
+        Field::new("fsj", DataType::Float64, true),
+        Field::new("zeta", DataType::Float64, true),
+        Field::new("rest_angle_rad", DataType::Float64, true),
+        Field::new("t_ns", DataType::Int64, false),
+    ];
+    let kind = if single { DataType::Float32 } else { DataType::Float64 };
+    for c in channels.iter() {
+        let unit: std::collections::HashMap<String, String> = [("unit".to_string(), c.unit().to_string())].into();
+        fields.push(Field::new(c.name(), kind.clone(), false).with_metadata(unit));
+    }
+    Schema::new(fields)
+}
+
 /// Writer settings shared by all tables: zstd level 1, no dictionary, byte-stream-split for
 /// floats, delta for time, dictionary for the columns that are constant over a run.
 pub fn writer_properties(schema: &Schema, pairs: Vec<(String, String)>) -> WriterProperties {
@@ -159,19 +176,7 @@ impl Recorder {
     /// * `single` samples as f32: right where they come out of a sensor model, which has rounded
     ///   them to f32 already
     pub fn create(path: &Path, provenance: &Provenance, channels: ChannelSet, single: bool) -> Result<Self> {
-        let mut fields = vec![
-            Field::new("run", DataType::UInt64, false),
-            Field::new("fsj", DataType::Float64, true),
-            Field::new("zeta", DataType::Float64, true),
-            Field::new("rest_angle_rad", DataType::Float64, true),
-            Field::new("t_ns", DataType::Int64, false),
-        ];
-        let kind = if single { DataType::Float32 } else { DataType::Float64 };
-        for c in channels.iter() {
-            let unit: std::collections::HashMap<String, String> = [("unit".to_string(), c.unit().to_string())].into();
-            fields.push(Field::new(c.name(), kind.clone(), false).with_metadata(unit));
-        }
-        let schema = Arc::new(Schema::new(fields));
+        let schema = Arc::new(telemetry_schema(channels, single));
         let properties = writer_properties(&schema, provenance.pairs());
         let tmp = temporary(path);
         let file = File::create(&tmp).map_err(|e| Error::io(&tmp, "cannot be created", e))?;

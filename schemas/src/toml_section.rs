@@ -177,9 +177,42 @@ impl Section {
         Ok((x, interval))
     }
 
+    /// Puts a number in the place of the value of `key` in the table `table`; unit and source stay.
+    ///
+    /// # Errors
+    /// Where `table` is there and no table.
+    pub fn put(&mut self, table: &str, key: &str, value: f64) -> Result<()> {
+        let entry = self.table.entry(table).or_insert_with(|| Value::Table(Table::new()));
+        let Value::Table(t) = entry else {
+            let found = show(entry);
+            return Err(self.bad(table, found, "a table"));
+        };
+        match t.get_mut(key) {
+            Some(Value::Table(old)) => old.insert("value".into(), Value::Float(value)),
+            _ => t.insert(key.into(), Value::Float(value)),
+        };
+        Ok(())
+    }
+
+    /// A list of texts.
+    pub fn texts(&mut self, key: &str, allowed: &str) -> Result<Vec<String>> {
+        let Some(v) = self.take(key) else {
+            return Err(self.bad(key, "nothing", allowed));
+        };
+        let list = v.as_array().and_then(|a| {
+            let texts = a.iter().map(|x| x.as_str().map(str::to_string));
+            texts.collect::<Option<Vec<String>>>()
+        });
+        list.ok_or_else(|| self.bad(key, show(&v), allowed))
+    }
+
     /// Keys that were not read yet, in the order of the alphabet.
     pub fn keys(&self) -> Vec<String> {
         self.table.keys().cloned().collect()
+    }
+
+    pub fn is_list(&self, key: &str) -> bool {
+        self.table.get(key).is_some_and(Value::is_array)
     }
 
     pub fn is_text(&self, key: &str) -> bool {

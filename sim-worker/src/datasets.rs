@@ -47,7 +47,11 @@ pub fn sequence(name: &str) -> Result<TestSequence> {
 
 /// A built-in grid, or one from a `.toml` file with `name`, `fsj`, `zeta`.
 pub fn grid(name: &str) -> Result<FaultGrid> {
-    let mut s = section("grids", GRIDS, name)?;
+    grid_from(section("grids", GRIDS, name)?)
+}
+
+/// A grid from its file's section.
+pub fn grid_from(mut s: Section) -> Result<FaultGrid> {
     let name = s.text("name", "a text")?;
     let fsj = s.axis(
         "fsj",

@@ -1,16 +1,25 @@
 //! The physics of an electromechanical actuator: the numerical test bench, the simplified model,
-//! their faults and sensors, and the engine that runs them over lanes.
+//! their faults and sensors, the engine that runs them over lanes, the features of a run, and (with
+//! the feature `fleet`) the program that works through its share of a fleet's dataset.
 pub mod command;
 pub mod control;
 pub mod datasets;
 pub mod effect;
+pub mod extractor;
+#[cfg(feature = "fleet")]
+pub mod fleet;
+pub mod interrupt;
 pub mod lanes;
 pub mod monitor;
+pub mod noise;
 pub mod parameters;
 pub mod plant;
+#[cfg(feature = "fleet")]
+pub mod progress;
 pub mod sensor;
 pub mod simulate;
 pub mod spread;
 pub mod test_bench;
 pub mod trig;
+pub mod witness;
 pub mod worker;

@@ -68,7 +68,82 @@ pub struct ActuatorParameters {
     pub identified: Vec<String>,
 }
 
+/// Physical parameters that may differ from one actuator of a fleet to another: name, and table and key
+/// of the actuator's file. The name is that of the field, and of the column in `actuators`.
+pub const PARAMETERS: [(&str, &str, &str); 22] = [
+    ("supply_voltage_v", "supply", "voltage_v"),
+    ("phase_resistance_ohm", "motor", "phase_resistance_ohm"),
+    ("phase_inductance_h", "motor", "phase_inductance_h"),
+    ("back_emf_v_s_per_rad", "motor", "back_emf_v_s_per_rad"),
+    ("inertia_kg_m2", "motor", "inertia_kg_m2"),
+    ("viscous_n_m_s_per_rad", "motor", "viscous_n_m_s_per_rad"),
+    ("torque_limit_n_m", "motor", "torque_limit_n_m"),
+    ("static_friction_n_m", "friction", "static_n_m"),
+    ("dynamic_friction_ratio", "friction", "dynamic_ratio"),
+    ("gear_ratio", "transmission", "gear_ratio"),
+    ("backlash_half_width_rad", "transmission", "backlash_half_width_rad"),
+    ("end_stop_rad", "transmission", "end_stop_rad"),
+    ("opposing_efficiency", "transmission", "opposing_efficiency"),
+    ("aiding_efficiency", "transmission", "aiding_efficiency"),
+    ("position_gain_per_s", "controller", "position_gain_per_s"),
+    (
+        "speed_reference_limit_rad_per_s",
+        "controller",
+        "speed_reference_limit_rad_per_s",
+    ),
+    (
+        "speed_proportional_n_m_s_per_rad",
+        "controller",
+        "speed_proportional_n_m_s_per_rad",
+    ),
+    ("speed_integral_n_m_per_rad", "controller", "speed_integral_n_m_per_rad"),
+    ("integrator_limit_n_m", "controller", "integrator_limit_n_m"),
+    ("current_limit_a", "controller", "current_limit_a"),
+    ("hysteresis_half_band_a", "controller", "hysteresis_half_band_a"),
+    ("temperature_degc", "environment", "temperature_degc"),
+];
+
 impl ActuatorParameters {
+    /// Values in the order of [`PARAMETERS`].
+    pub fn values(&self) -> [f64; PARAMETERS.len()] {
+        [
+            self.supply_voltage_v,
+            self.phase_resistance_ohm,
+            self.phase_inductance_h,
+            self.back_emf_v_s_per_rad,
+            self.inertia_kg_m2,
+            self.viscous_n_m_s_per_rad,
+            self.torque_limit_n_m,
+            self.static_friction_n_m,
+            self.dynamic_friction_ratio,
+            self.gear_ratio,
+            self.backlash_half_width_rad,
+            self.end_stop_rad,
+            self.opposing_efficiency,
+            self.aiding_efficiency,
+            self.position_gain_per_s,
+            self.speed_reference_limit_rad_per_s,
+            self.speed_proportional_n_m_s_per_rad,
+            self.speed_integral_n_m_per_rad,
+            self.integrator_limit_n_m,
+            self.current_limit_a,
+            self.hysteresis_half_band_a,
+            self.temperature_degc,
+        ]
+    }
+
+    /// Parses the text of a file, with other values of some of [`PARAMETERS`] (by their place there).
+    ///
+    /// # Errors
+    /// Those of the file, and values that physics forbids.
+    pub fn parse_with(file: &str, text: &str, values: &[(usize, f64)]) -> Result<Self> {
+        let mut s = toml_section::parse(file, text)?;
+        for &(k, x) in values {
+            s.put(PARAMETERS[k].1, PARAMETERS[k].2, x)?;
+        }
+        Self::from_section(s)
+    }
+
     /// The reference actuator of `datasets/parameters/reference.toml`.
     pub fn reference() -> Self {
         Self::parse("datasets/parameters/reference.toml", REFERENCE).expect("the built-in parameters are valid")
@@ -85,7 +160,7 @@ impl ActuatorParameters {
 
     /// Parses the text of a file.
     pub fn parse(file: &str, text: &str) -> Result<Self> {
-        Self::from_section(toml_section::parse(file, text)?)
+        Self::parse_with(file, text, &[])
     }
 
     fn from_section(mut s: Section) -> Result<Self> {

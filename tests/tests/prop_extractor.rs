@@ -1,12 +1,12 @@
 //! The extractor gives the same bits whatever the chunks, and the same through every medium.
 
-use diagnoser::extractor::{FeatureExtractor, FeaturePlan};
 use ema_tests::reference_run;
 use proptest::prelude::*;
 use schemas::channel::Channel;
 use schemas::feature::RawFeatures;
 use schemas::recording::{Provenance, Recorder, Recording};
 use schemas::telemetry::{Collector, TelemetrySink};
+use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use std::sync::{Arc, LazyLock};
 

@@ -1,12 +1,12 @@
 //! The simplified model beside the numerical test bench, and the paper's four cases.
 
 use diagnoser::diagnosis::{COVERAGE, Diagnoser};
-use diagnoser::extractor::FeaturePlan;
 use ema_tests::{reference_run, reference_runs, relative_rms};
 use pipeline::calibrate::{Effort, calibrate};
 use pipeline::demo::{TABLE_I, quantile, statistics};
 use schemas::channel::Channel;
 use schemas::fault::FaultState;
+use sim_worker::extractor::FeaturePlan;
 use sim_worker::monitor::MonitorTrack;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;

@@ -2,13 +2,13 @@
 
 use super::{Report, Status};
 use crate::diagnosis::{Diagnosis, Outcome};
-use crate::extractor::FeatureExtractor;
 use crate::map_library::MapKey;
 use schemas::channel::ChannelSet;
 use schemas::feature::Features;
 use schemas::sequence::{Command, TestSequence};
 use schemas::stream::frame::{FrameHeader, RunDescription};
 use schemas::telemetry::TelemetryView;
+use sim_worker::extractor::FeatureExtractor;
 
 /// Faults of a stream that are named one by one; the others are counted.
 const NAMED: usize = 4;

@@ -1,14 +1,14 @@
 //! Features from telemetry, streaming: no I/O, all state inside, and the same bits whatever the
 //! size of the chunks (every sum runs sample by sample).
 
+use crate::monitor::MonitorTrack;
+use crate::parameters::ActuatorParameters;
 use crate::witness::{SineShape, SineWitness, imbalance};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::feature::RawFeatures;
 use schemas::sequence::{Command, TestSequence};
 use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
-use sim_worker::monitor::MonitorTrack;
-use sim_worker::parameters::ActuatorParameters;
 use std::sync::Arc;
 
 /// Start and end of P1's window after the step [s] (paper 4.2.1 "regime"; the figures are those
@@ -150,13 +150,14 @@ impl FeaturePlan {
 
     /// The channels that the features are made from.
     pub fn channels(&self) -> ChannelSet {
+        Self::channels_of(self.equivalent_current)
+    }
+
+    /// As [`FeaturePlan::channels`], without a plan.
+    pub fn channels_of(equivalent_current: bool) -> ChannelSet {
         use Channel::{Com, IA, IB, IC, IEq, OmegaM, ThetaM};
         let phases = ChannelSet::of([Com, ThetaM, OmegaM, IA, IB, IC]);
-        if self.equivalent_current {
-            phases.with(IEq)
-        } else {
-            phases
-        }
+        if equivalent_current { phases.with(IEq) } else { phases }
     }
 
     /// Whether any of the samples `first..first + rows` matters to a feature.

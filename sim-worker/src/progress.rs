@@ -1,7 +1,7 @@
 //! Progress bars and Ctrl-C.
 
+use crate::worker::Progress;
 use indicatif::{ProgressBar, ProgressStyle};
-use sim_worker::worker::Progress;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
@@ -29,7 +29,7 @@ pub fn interrupt_flag() -> Arc<AtomicBool> {
 /// From now on Ctrl-C (and SIGTERM) asks long work to stop at the next chance; another one a second
 /// later ends the process at once.
 pub fn catch_interrupts() {
-    diagnoser::cli::catch_interrupts(INTERRUPTED.clone());
+    crate::interrupt::catch(INTERRUPTED.clone());
 }
 
 /// Whether Ctrl-C was pressed.

@@ -1,9 +1,9 @@
 //! Witnesses: what the faults hardly change, and other defects do. They locate nothing; where one differs
 //! from what it should be at the located pair, the test is not explained by these faults.
 
+use crate::plant::back_emf::{coefficient, fold};
 use schemas::channel::Channel;
 use schemas::telemetry::TelemetryView;
-use sim_worker::plant::back_emf::{coefficient, fold};
 use std::f64::consts::PI;
 use std::ops::Range;
 

@@ -1,0 +1,20 @@
+//! Fleets: many actuators, each a little different, simulated by many workers into one dataset.
+//!
+//! A [`plan::FleetPlan`] is cut into [`parts::Part`]s, whose results depend on the plan alone. Workers put parts
+//! under fixed names, each once ([`work`]); [`merge`] compacts them and commits the [`manifest`] last;
+//! [`verify`] reads everything again.
+
+pub mod draw;
+pub mod layout;
+pub mod manifest;
+pub mod merge;
+pub mod parts;
+pub mod plan;
+pub mod program;
+pub mod ranges;
+pub mod shard;
+pub mod sink;
+pub mod storage;
+pub mod tables;
+pub mod verify;
+pub mod work;

@@ -1,0 +1,484 @@
+//! Fleet plans: which actuators, how they differ, which tests they run, and what is kept.
+
+use super::draw::{Distribution, random};
+use crate::datasets;
+use crate::noise::FEATURE_SEEDS;
+use crate::parameters::{ActuatorParameters, PARAMETERS};
+use crate::sensor::SensorModel;
+use schemas::channel::{Channel, ChannelSet};
+use schemas::error::{Error, Result};
+use schemas::fault::FaultGrid;
+use schemas::fingerprint::{exact, fingerprint};
+use schemas::sequence::TestSequence;
+use schemas::toml_section::{self, Section, quoted};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Hash of the sources that results depend on: results of other sources are never mixed with those of
+/// this program.
+pub const SOURCE: &str = env!("EMA_WORKER_SOURCE");
+
+/// Most actuators of a plan.
+const MOST_ACTUATORS: usize = 100_000;
+
+/// Most bytes of sensor noise that all runs share.
+const MOST_NOISE_BYTES: u64 = 1 << 28;
+
+/// One actuator of the fleet.
+#[derive(Clone, Debug)]
+pub struct FleetActuator {
+    /// `<tail>.<position>`
+    pub id: String,
+    /// tail number of the aircraft
+    pub tail: String,
+    /// where it sits
+    pub position: String,
+    pub parameters: Arc<ActuatorParameters>,
+}
+
+/// Telemetry that is kept.
+#[derive(Clone, Debug)]
+pub struct KeptTelemetry {
+    /// samples of the feature extraction for one that is kept
+    pub every: u64,
+    pub rate_hz: f64,
+    /// asked for
+    pub wanted: ChannelSet,
+    /// stored: what is wanted and cannot be derived
+    pub stored: ChannelSet,
+    /// of grid points, of tests
+    pub of: (bool, bool),
+}
+
+/// A fleet plan, checked.
+#[derive(Clone, Debug)]
+pub struct FleetPlan {
+    pub name: String,
+    /// the file's text with the files that it names
+    pub text: String,
+    pub seed: u64,
+    pub actuators: Vec<FleetActuator>,
+    pub sequences: Vec<TestSequence>,
+    pub grid: FaultGrid,
+    pub rest_angles_rad: Vec<f64>,
+    /// constant load torque [N m, motor side]
+    pub load_n_m: f64,
+    pub sensors: Option<SensorModel>,
+    /// rate at which features are taken [Hz]
+    pub rate_hz: f64,
+    /// noise seeds over which features of grid points are averaged
+    pub feature_seeds: u64,
+    /// random fault pairs of each actuator, to check diagnoses by
+    pub tests_per_actuator: usize,
+    pub telemetry: Option<KeptTelemetry>,
+    /// where the dataset goes if nothing else is said
+    pub out: String,
+    /// spreads whose values are assumed rather than sourced
+    pub assumed: Vec<String>,
+}
+
+/// The files that a plan names, beside it or (in a dataset) within it.
+struct Files<'a> {
+    file: &'a str,
+    dir: &'a Path,
+    inside: BTreeMap<String, String>,
+    used: BTreeMap<String, String>,
+}
+
+impl Files<'_> {
+    /// The text of a `.toml` file; `None` for a name without that ending.
+    fn text(&mut self, name: &str) -> Result<Option<(String, String)>> {
+        if !name.ends_with(".toml") {
+            return Ok(None);
+        }
+        let (place, text) = match self.inside.get(name) {
+            Some(text) => (format!("{}: {name}", self.file), text.clone()),
+            None => {
+                let path = self.dir.join(name);
+                let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "cannot be read", e))?;
+                (path.display().to_string(), text)
+            }
+        };
+        self.used.insert(name.into(), text.clone());
+        Ok(Some((place, text)))
+    }
+
+    /// A section of a file, or nothing where the name is that of something built in.
+    fn section(&mut self, name: &str) -> Result<Option<Section>> {
+        let text = self.text(name)?;
+        text.map(|(place, text)| toml_section::parse(&place, &text)).transpose()
+    }
+}
+
+const PLAIN: &str = "letters, digits, - and _";
+
+fn plain(text: &str) -> bool {
+    !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_')
+}
+
+const NAME: &str = "letters, digits, - and _, a letter first, and no word for a number or truth";
+
+/// Folders are called by it (hive layout): readers guess types, and must not take it for a number.
+fn plain_name(text: &str) -> bool {
+    let word = text.to_ascii_lowercase();
+    let guessed = ["nan", "inf", "infinity", "true", "false", "epoch", "null"].contains(&word.as_str());
+    plain(text) && text.starts_with(|c: char| c.is_ascii_alphabetic()) && !guessed
+}
+
+fn whole(s: &mut Section, key: &str, default: u64, most: u64) -> Result<u64> {
+    let ok = |x: f64| x.fract() == 0.0 && x >= 0.0 && x <= most as f64;
+    let allowed = format!("a whole number from 0 to {most}");
+    s.number_or(key, default as f64, ok, &allowed).map(|x| x as u64)
+}
+
+impl FleetPlan {
+    /// Reads a plan's file.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+        let dir = path.parent().unwrap_or(Path::new(""));
+        Self::parse(&path.display().to_string(), &text, dir)
+    }
+
+    /// Parses a plan.
+    ///
+    /// * `file` for messages
+    /// * `dir` where the files lie that it names, unless they are part of the text
+    ///
+    /// # Errors
+    /// File, key, value and what is allowed.
+    pub fn parse(file: &str, text: &str, dir: &Path) -> Result<Self> {
+        let mut s = toml_section::parse(file, text)?;
+        let mut inside = BTreeMap::new();
+        if s.may_have("files") {
+            let mut t = s.section("files")?;
+            for key in t.keys() {
+                let text = t.text(&key, "a text")?;
+                inside.insert(key, text);
+            }
+        }
+        let whole_text = inside.is_empty();
+        let mut files = Files {
+            file,
+            dir,
+            inside,
+            used: BTreeMap::new(),
+        };
+        let name = s.text("name", PLAIN)?;
+        if !plain(&name) {
+            return Err(s.bad("name", name, PLAIN));
+        }
+        let seed = whole(&mut s, "seed", 0, 1 << 52)?;
+        let out = s.text_or("out", &name)?;
+
+        let base = s.text_or("actuator", "reference")?;
+        let base = match files.text(&base)? {
+            Some(found) => found,
+            None if base == "reference" => (
+                "datasets/parameters/reference.toml".into(),
+                ActuatorParameters::reference_text().into(),
+            ),
+            None => return Err(s.bad("actuator", base, "reference, or a .toml file")),
+        };
+        let mut names = vec!["preflight".to_string()];
+        if s.may_have("sequences") {
+            names = s.texts("sequences", "a list of names of sequences or .toml files")?;
+        }
+        let mut sequences: Vec<TestSequence> = Vec::new();
+        for n in &names {
+            let sequence = match files.section(n)? {
+                Some(section) => TestSequence::from_section(section)?,
+                None => datasets::sequence(n)?,
+            };
+            if !plain_name(&sequence.name) {
+                return Err(s.bad("sequences", sequence.name, NAME));
+            }
+            if sequences.iter().any(|q| q.name == sequence.name) {
+                return Err(s.bad("sequences", sequence.name, "sequences of different names"));
+            }
+            sequences.push(sequence);
+        }
+        if sequences.is_empty() {
+            return Err(s.bad("sequences", "an empty list", "at least one sequence"));
+        }
+        let grid = s.text_or("grid", "standard")?;
+        let grid = match files.section(&grid)? {
+            Some(section) => datasets::grid_from(section)?,
+            None => datasets::grid(&grid)?,
+        };
+        let rest_angles_rad = if s.may_have("rest_angle_deg") {
+            let turn = |x: f64| (-360.0..=360.0).contains(&x);
+            let list = s.axis("rest_angle_deg", turn, "strictly rising angles from -360 to 360")?;
+            list.iter().map(|x| x.to_radians()).collect()
+        } else {
+            vec![0.0]
+        };
+        let load_n_m = s.number_or("load_n_m", 0.0, |_| true, "a finite number")?;
+        let sensors = s.text_or("sensors", "none")?;
+        let sensors = match files.section(&sensors)? {
+            Some(section) => Some(SensorModel::from_section(section)?),
+            None => datasets::sensors(&sensors)?,
+        };
+        let rate_hz = s.number_or(
+            "rate_hz",
+            10_000.0,
+            |x| (1000.0..=1e6).contains(&x),
+            "1000 to 1000000 Hz",
+        )?;
+        let feature_seeds = whole(&mut s, "feature_seeds", FEATURE_SEEDS, 64)?.max(1);
+        let longest = sequences.iter().map(TestSequence::duration_s).fold(0.0, f64::max);
+        let noise = (longest * rate_hz) as u64 * 16 * feature_seeds;
+        if sensors.is_some() && noise > MOST_NOISE_BYTES {
+            let allowed =
+                format!("{feature_seeds} seeds of {longest} s of noise within 256 MB: a lower rate or fewer seeds");
+            return Err(s.bad("rate_hz", rate_hz, allowed));
+        }
+        let mut tests_per_actuator = 0;
+        if s.may_have("tests") {
+            let mut t = s.section("tests")?;
+            tests_per_actuator = whole(&mut t, "per_actuator", 0, 100_000)? as usize;
+            t.finish()?;
+        }
+        let telemetry = if s.may_have("telemetry") {
+            let t = s.section("telemetry")?;
+            Some(KeptTelemetry::from_section(t, rate_hz, sensors.is_some())?)
+        } else {
+            None
+        };
+        let mut assumed = Vec::new();
+        let spread = spread(&mut s, &mut assumed)?;
+        let actuators = actuators(&mut s, seed, &base, &spread)?;
+        s.finish()?;
+        let mut text = text.trim_end().to_string() + "\n";
+        if whole_text && !files.used.is_empty() {
+            text += "\n# the files that the plan names\n[files]\n";
+            for (name, content) in &files.used {
+                text += &format!("{} = {}\n", quoted(name), several_lines(content));
+            }
+        }
+        Ok(Self {
+            name,
+            text,
+            seed,
+            actuators,
+            sequences,
+            grid,
+            rest_angles_rad,
+            load_n_m,
+            sensors,
+            rate_hz,
+            feature_seeds,
+            tests_per_actuator,
+            telemetry,
+            out,
+            assumed,
+        })
+    }
+
+    /// Of everything that results depend on, the program's sources included; not of names and comments.
+    pub fn fingerprint(&self) -> String {
+        let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
+        let actuator = |a: &FleetActuator| format!("{}={}", a.id, a.parameters.fingerprint());
+        let sequence = |q: &TestSequence| format!("{}={}", q.name, q.fingerprint());
+        let telemetry = self.telemetry.as_ref().map_or("none".into(), |t| {
+            format!("{},{},{},{:?}", t.every, t.wanted.0, t.stored.0, t.of)
+        });
+        fingerprint(&format!(
+            "fleet;{SOURCE};{};{};{};{};{};{};{};{};{};{};{};{telemetry}",
+            self.seed,
+            self.actuators.iter().map(actuator).collect::<Vec<_>>().join(","),
+            self.sequences.iter().map(sequence).collect::<Vec<_>>().join(","),
+            list(&self.grid.fsj),
+            list(&self.grid.zeta),
+            list(&self.rest_angles_rad),
+            exact(self.load_n_m),
+            self.sensor_fingerprint(),
+            exact(self.rate_hz),
+            self.feature_seeds,
+            self.tests_per_actuator,
+        ))
+    }
+
+    /// Fingerprint of the sensors, or `none`.
+    pub fn sensor_fingerprint(&self) -> String {
+        self.sensors.as_ref().map_or("none".into(), SensorModel::fingerprint)
+    }
+}
+
+/// A text as TOML writes it, over several lines.
+fn several_lines(text: &str) -> String {
+    let escaped = text.replace('\\', "\\\\").replace('"', "\\\"").replace('\r', "\\r");
+    format!("\"\"\"\n{escaped}\"\"\"")
+}
+
+impl KeptTelemetry {
+    /// * `rate_hz` at which features are taken
+    /// * `measured` whether there is a sensor model: then what it forms from other channels need not be stored
+    fn from_section(mut t: Section, rate_hz: f64, measured: bool) -> Result<Self> {
+        let divides = |x: f64| x > 0.0 && x <= rate_hz && ((rate_hz / x).round() * x - rate_hz).abs() < 1e-6 * rate_hz;
+        let allowed = format!("a rate that goes into {rate_hz} Hz a whole number of times");
+        let kept = t.number_or("rate_hz", rate_hz, divides, &allowed)?;
+        let mut wanted = ChannelSet::basic();
+        if t.may_have("channels") {
+            let names: Vec<&str> = Channel::ALL.iter().map(|c| c.name()).collect();
+            let allowed = format!("a list of {}", names.join(", "));
+            let list = t.texts("channels", &allowed)?;
+            let mut set = ChannelSet::default();
+            for n in &list {
+                let simulated = Channel::from_name(n).filter(|&c| c != Channel::Temperature);
+                set = set.with(simulated.ok_or_else(|| t.bad("channels", n, allowed.clone()))?);
+            }
+            wanted = set;
+        }
+        let of = t.text_or("of", "all")?;
+        let of = match of.as_str() {
+            "all" => (true, true),
+            "map" => (true, false),
+            "test" => (false, true),
+            _ => return Err(t.bad("of", of, "all, map or test")),
+        };
+        t.finish()?;
+        let has = |list: &[Channel]| list.iter().all(|&c| wanted.contains(c));
+        let derived = |c: Channel| match c {
+            Channel::Com => true,
+            Channel::ThetaU => measured && has(&[Channel::ThetaM]),
+            Channel::IEq => measured && has(&[Channel::IA, Channel::IB, Channel::IC]),
+            _ => false,
+        };
+        let stored = ChannelSet::of(wanted.iter().filter(|&c| !derived(c)));
+        if stored == ChannelSet::default() {
+            return Err(t_empty(wanted));
+        }
+        Ok(Self {
+            every: (rate_hz / kept).round() as u64,
+            rate_hz: kept,
+            wanted,
+            stored,
+            of,
+        })
+    }
+}
+
+fn t_empty(wanted: ChannelSet) -> Error {
+    let names: Vec<&str> = wanted.iter().map(Channel::name).collect();
+    let allowed = "at least one channel that cannot be derived from the sequence or from others";
+    Error::bad("plan", "key `telemetry.channels`", names.join(", "), allowed)
+}
+
+/// Place in [`PARAMETERS`] and distribution of what differs.
+type Spreads = Vec<(usize, Distribution)>;
+
+fn spread(s: &mut Section, assumed: &mut Vec<String>) -> Result<Spreads> {
+    let mut list = Vec::new();
+    if !s.may_have("spread") {
+        return Ok(list);
+    }
+    let mut t = s.section("spread")?;
+    for (k, (name, ..)) in PARAMETERS.into_iter().enumerate() {
+        if t.may_have(name) {
+            let (distribution, source) = Distribution::from_section(t.section(name)?)?;
+            if source == "assumed" {
+                assumed.push(format!("spread.{name}"));
+            }
+            list.push((k, distribution));
+        }
+    }
+    t.finish()?;
+    Ok(list)
+}
+
+/// Tails by positions, then single actuators with what is known of them.
+fn actuators(
+    s: &mut Section,
+    seed: u64,
+    (file, text): &(String, String),
+    spread: &Spreads,
+) -> Result<Vec<FleetActuator>> {
+    let mut places: Vec<(String, String, Vec<(usize, f64)>)> = Vec::new();
+    if s.may_have("aircraft") {
+        let mut t = s.section("aircraft")?;
+        let positions = t.texts("positions", "a list of texts")?;
+        let tails = if t.is_list("tails") {
+            t.texts("tails", "a list of texts, or { prefix, from, count }")?
+        } else {
+            let mut range = t.section("tails")?;
+            let prefix = range.text_or("prefix", "")?;
+            let from = whole(&mut range, "from", 1, 1 << 32)?;
+            let count = whole(&mut range, "count", 0, MOST_ACTUATORS as u64)?;
+            range.finish()?;
+            let digits = (from + count).saturating_sub(1).to_string().len();
+            (from..from + count).map(|n| format!("{prefix}{n:0digits$}")).collect()
+        };
+        if let Some(bad) = tails.iter().find(|x| !plain_name(x)) {
+            return Err(t.bad("tails", bad, NAME));
+        }
+        if let Some(bad) = positions.iter().find(|x| !plain(x)) {
+            return Err(t.bad("positions", bad, PLAIN));
+        }
+        t.finish()?;
+        for tail in &tails {
+            for position in &positions {
+                places.push((tail.clone(), position.clone(), Vec::new()));
+            }
+        }
+    }
+    for mut one in s.sections("actuators")? {
+        let tail = one.text("tail", PLAIN)?;
+        let position = one.text("position", PLAIN)?;
+        if !plain_name(&tail) {
+            return Err(one.bad("tail", tail, NAME));
+        }
+        if !plain(&position) {
+            return Err(one.bad("position", position, PLAIN));
+        }
+        let mut known = Vec::new();
+        for (k, (name, ..)) in PARAMETERS.into_iter().enumerate() {
+            if one.may_have(name) {
+                known.push((k, one.number(name, |_| true, "a finite number")?));
+            }
+        }
+        one.finish()?;
+        match places.iter_mut().find(|p| p.0 == tail && p.1 == position) {
+            Some(place) => place.2 = known,
+            None => places.push((tail, position, known)),
+        }
+    }
+    if places.is_empty() || places.len() > MOST_ACTUATORS {
+        let allowed = format!("1 to {MOST_ACTUATORS} actuators, by [aircraft] or [[actuators]]");
+        return Err(s.bad("aircraft", format!("{} actuators", places.len()), allowed));
+    }
+    // some file systems do not tell upper from lower case
+    let mut seen = std::collections::BTreeSet::new();
+    if let Some(p) = places
+        .iter()
+        .find(|p| !seen.insert(format!("{}.{}", p.0, p.1).to_lowercase()))
+    {
+        return Err(s.bad("aircraft", format!("{}.{} twice", p.0, p.1), "each actuator once"));
+    }
+    let nominal = ActuatorParameters::parse(file, text)?.values();
+    let one = |(tail, position, known): (String, String, Vec<(usize, f64)>)| {
+        let id = format!("{tail}.{position}");
+        let mut values: Vec<(usize, f64)> = Vec::new();
+        for &(k, distribution) in spread {
+            let drawn = distribution.draw(nominal[k], &mut random(seed, PARAMETERS[k].0, &id));
+            // a share or an efficiency ends at one
+            let most =
+                if ["dynamic_friction_ratio", "opposing_efficiency", "aiding_efficiency"].contains(&PARAMETERS[k].0) {
+                    1.0
+                } else {
+                    f64::INFINITY
+                };
+            values.push((k, drawn.min(most)));
+        }
+        values.extend(known);
+        let mut parameters = ActuatorParameters::parse_with(&format!("{file}: actuator {id}"), text, &values)?;
+        parameters.name = id.clone();
+        Ok(FleetActuator {
+            id,
+            tail,
+            position,
+            parameters: Arc::new(parameters),
+        })
+    };
+    places.into_iter().map(one).collect()
+}

@@ -1,0 +1,195 @@
+//! The program `sim-worker`: one share of a fleet plan, or the merge of all.
+
+use super::merge::{Merged, merge};
+use super::plan::FleetPlan;
+use super::shard::{SHARDS, Shard};
+use super::storage::Storage;
+use super::work::{Done, work};
+use crate::progress::{catch_interrupts, with_bar};
+use crate::worker::Progress;
+use clap::Parser;
+use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+const AFTER: &str = "\
+One process on one machine:   sim-worker --plan fleet.toml --out fleet && sim-worker --plan fleet.toml --out fleet --merge
+Eight shards by hand:         sim-worker --plan fleet.toml --out s3://bucket/fleet --shard 0/8   (to 7/8, anywhere, in any order)
+Slurm, Kubernetes:            sim-worker/deploy/; the number of the task or pod and EMA_SHARDS say which shard it is
+
+A dataset goes to a folder or an S3 bucket. Credentials, region and endpoint of S3 come from the environment: \
+AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP.
+A worker may be killed, started twice or late: parts that are there are not made again.
+
+Exit codes: 0 done | 1 unforeseen failure, for example a full disk or a network that is down | 2 wrong command line \
+| 3 not finished: parts are missing, which shards to run is said | 4 bad input: one line says file, place, value found and what is allowed \
+| 130 interrupted (Ctrl-C, SIGTERM); what is done is kept";
+
+/// Simulate one share of a fleet plan, or put all shares together.
+#[derive(Parser)]
+#[command(name = "sim-worker", version, after_help = AFTER)]
+struct Program {
+    /// Fleet plan, a TOML file (datasets/fleets)
+    #[arg(long, value_name = "FILE")]
+    plan: PathBuf,
+    /// Share I of N, I from 0 to N - 1; from the environment of a job array or indexed job if left out, else all
+    #[arg(long, value_name = "I/N", conflicts_with = "merge")]
+    shard: Option<String>,
+    /// Put the shares together: when all are done
+    #[arg(long)]
+    merge: bool,
+    /// Where the dataset goes: a folder, or s3://BUCKET/PREFIX; the plan's `out` if left out
+    #[arg(long, env = "EMA_DATASET", value_name = "URL")]
+    out: Option<String>,
+    /// Threads; SLURM_CPUS_PER_TASK or all cores if left out
+    #[arg(long, env = "SLURM_CPUS_PER_TASK", hide_env = true, value_name = "N")]
+    jobs: Option<usize>,
+}
+
+/// Says how far it is every half minute, where nobody watches a bar.
+fn with_lines<T>(progress: &Arc<Progress>, total: u64, work: impl FnOnce() -> T) -> T {
+    const EVERY: Duration = Duration::from_secs(30);
+    if std::io::stderr().is_terminal() {
+        return work();
+    }
+    let done = Arc::new(AtomicBool::new(false));
+    let (ended, progress) = (done.clone(), progress.clone());
+    let thread = std::thread::spawn(move || {
+        let start = Instant::now();
+        let mut said = start;
+        let mut before = None;
+        while !ended.load(Ordering::Relaxed) {
+            std::thread::park_timeout(Duration::from_millis(500));
+            let runs = progress.runs.load(Ordering::Relaxed);
+            let first = *before.get_or_insert(runs);
+            if said.elapsed() < EVERY || runs == first {
+                continue;
+            }
+            said = Instant::now();
+            let rate = (runs - first) as f64 / start.elapsed().as_secs_f64();
+            let left = (total.saturating_sub(runs)) as f64 / rate;
+            eprintln!("{runs} of {total} runs, {rate:.1} runs/s, {left:.0} s left");
+        }
+    });
+    let result = work();
+    done.store(true, Ordering::Relaxed);
+    thread.thread().unpark();
+    let _ = thread.join();
+    result
+}
+
+/// Works through a share with a progress display. `Ok(None)` where it was interrupted.
+pub fn work_shown(plan: &FleetPlan, storage: &Storage, shard: Shard, title: &str) -> Result<Option<Done>> {
+    let progress = Arc::new(Progress::default());
+    let parts = plan.parts();
+    let total = parts[shard.range(parts.len())]
+        .iter()
+        .map(|p| p.runs.end - p.runs.start)
+        .sum();
+    with_lines(&progress, total, || {
+        with_bar(title, total, &progress, || work(plan, storage, shard, &progress))
+    })
+}
+
+/// What a worker has done, in words.
+pub fn summary(done: &Done, seconds: f64) -> String {
+    let mut text = format!("{} parts, {} runs", done.parts, done.runs);
+    if done.before > 0 {
+        text += &format!("; {} parts were there before", done.before);
+    }
+    if done.twice > 0 {
+        text += &format!("; {} parts were made by another worker meanwhile", done.twice);
+    }
+    if done.steps > 0 {
+        text += &format!(
+            "; {:.3e} steps in {seconds:.1} s, {:.1} MB stored",
+            done.steps as f64,
+            done.bytes as f64 / 1e6
+        );
+    }
+    text
+}
+
+/// What is missing, in words: which shards to run.
+pub fn missing(plan: &FleetPlan, parts: &[usize]) -> String {
+    let total = plan.parts().len();
+    let count = std::env::var(SHARDS)
+        .ok()
+        .and_then(|t| t.parse().ok())
+        .filter(|&n| n > 0);
+    let count: usize = count.unwrap_or(total);
+    let mut shards: Vec<String> = parts.iter().map(|&p| Shard::of(p, total, count).to_string()).collect();
+    shards.dedup();
+    let more = shards.len().saturating_sub(20);
+    shards.truncate(20);
+    let more = if more > 0 {
+        format!(" and {more} more")
+    } else {
+        String::new()
+    };
+    format!(
+        "{} of {total} parts are missing; run sim-worker with --shard {}{more}",
+        parts.len(),
+        shards.join(", ")
+    )
+}
+
+fn run(p: &Program) -> Result<ExitCode> {
+    let plan = FleetPlan::read(&p.plan)?;
+    if let Some(n) = p.jobs {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
+        pool.map_err(|e| Error::bad("command line", "--jobs", n, e.to_string()))?;
+    }
+    let storage = Storage::open(p.out.as_deref().unwrap_or(&plan.out))?;
+    let start = Instant::now();
+    if p.merge {
+        return Ok(match merge(&plan, &storage, |_, _| ())? {
+            Merged::Whole(m) => {
+                println!(
+                    "{}: {} runs of {} actuators in {} files",
+                    storage.describe(),
+                    m.runs,
+                    m.actuators,
+                    m.files.len()
+                );
+                ExitCode::SUCCESS
+            }
+            Merged::Missing(parts) => {
+                eprintln!("sim-worker: {}: {}", storage.describe(), missing(&plan, &parts));
+                ExitCode::from(EXIT_LOSS)
+            }
+        });
+    }
+    let shard = match &p.shard {
+        Some(text) => Shard::parse(text)?,
+        None => Shard::from_environment(|name| std::env::var(name).ok())?.unwrap_or(Shard::WHOLE),
+    };
+    match work_shown(&plan, &storage, shard, &format!("shard {shard}"))? {
+        Some(done) => {
+            println!(
+                "shard {shard} of {}: {}",
+                storage.describe(),
+                summary(&done, start.elapsed().as_secs_f64())
+            );
+            Ok(ExitCode::SUCCESS)
+        }
+        None => {
+            eprintln!("sim-worker: interrupted; what is done is kept, the same command goes on from there");
+            Ok(ExitCode::from(EXIT_INTERRUPTED))
+        }
+    }
+}
+
+/// The program `sim-worker`.
+pub fn main() -> ExitCode {
+    let program = Program::parse();
+    catch_interrupts();
+    run(&program).unwrap_or_else(|e| {
+        eprintln!("sim-worker: {}", e.to_string().replace('\n', " "));
+        ExitCode::from(e.exit_code())
+    })
+}

@@ -1,0 +1,420 @@
+//! Tables of a dataset as Parquet in memory. `schemas/README.md` is their specification.
+
+use super::parts::Part;
+use super::plan::{FleetPlan, SOURCE};
+use crate::noise::FeatureValues;
+use crate::parameters::PARAMETERS;
+use arrow::array::{Array, ArrayRef, AsArray, Float64Array, RecordBatch, StringArray, UInt64Array};
+use arrow::datatypes::{DataType, Field, Float64Type, Schema, UInt64Type};
+use bytes::Bytes;
+use parquet::arrow::ArrowWriter;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use schemas::SCHEMA_VERSION;
+use schemas::error::{Error, Result};
+use schemas::feature::{Features, RawFeatures};
+use schemas::fingerprint::fingerprint;
+use schemas::recording::{Provenance, writer_properties};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+fn torn(path: &str, e: impl std::fmt::Display) -> Error {
+    Error::torn(Path::new(path), e)
+}
+
+/// A table as a Parquet file, a row group a batch.
+fn to_bytes(path: &str, batches: &[RecordBatch], pairs: Vec<(String, String)>) -> Result<Vec<u8>> {
+    let schema = batches[0].schema();
+    let mut bytes = Vec::new();
+    let properties = writer_properties(&schema, pairs);
+    let mut w = ArrowWriter::try_new(&mut bytes, schema, Some(properties)).map_err(|e| torn(path, e))?;
+    for b in batches {
+        w.write(b).map_err(|e| torn(path, e))?;
+        w.flush().map_err(|e| torn(path, e))?;
+    }
+    w.close().map_err(|e| torn(path, e))?;
+    Ok(bytes)
+}
+
+/// Metadata that all tables of a dataset have.
+fn pairs(plan: &FleetPlan) -> Vec<(String, String)> {
+    [
+        ("schema_version", SCHEMA_VERSION.to_string()),
+        ("fleet", plan.name.clone()),
+        ("plan", plan.fingerprint()),
+        ("source", SOURCE.into()),
+        ("sensors", plan.sensor_fingerprint()),
+        ("rate_hz", plan.rate_hz.to_string()),
+        ("load_n_m", plan.load_n_m.to_string()),
+        ("seed", plan.seed.to_string()),
+        ("model", "ntb".into()),
+    ]
+    .map(|(k, v)| (format!("ema.{k}"), v))
+    .to_vec()
+}
+
+/// Metadata of the telemetry of a part: that of any recording, and the plan.
+pub fn telemetry_pairs(plan: &FleetPlan, part: &Part, fingerprint_of_plan: &str) -> Vec<(String, String)> {
+    let actuator = &plan.actuators[part.actuator];
+    let sequence = &plan.sequences[part.sequence];
+    let exact = |v: &[f64]| {
+        v.iter()
+            .map(|&x| schemas::fingerprint::exact(x))
+            .collect::<Vec<_>>()
+            .join(",")
+    };
+    let provenance = Provenance {
+        actuator: actuator.id.clone(),
+        parameters: actuator.parameters.fingerprint(),
+        sequence: sequence.name.clone(),
+        sequence_fingerprint: sequence.fingerprint(),
+        grid: fingerprint(&format!("grid;{};{}", exact(&plan.grid.fsj), exact(&plan.grid.zeta))),
+        sensors: plan.sensor_fingerprint(),
+        effects: actuator
+            .parameters
+            .effects
+            .iter()
+            .map(|e| e.kind.name())
+            .collect::<Vec<_>>()
+            .join(","),
+        rate_hz: plan.telemetry.as_ref().map_or(plan.rate_hz, |t| t.rate_hz),
+        step_s: actuator.parameters.step_s,
+        load_n_m: plan.load_n_m,
+        seed: plan.seed,
+        commit: format!("source {SOURCE}"),
+        model: "ntb".into(),
+    };
+    let mut pairs = provenance.pairs();
+    pairs.push(("ema.plan".into(), fingerprint_of_plan.into()));
+    pairs.push(("ema.part".into(), part.number.to_string()));
+    pairs
+}
+
+fn raw_fields() -> Vec<Field> {
+    let names = RawFeatures::COLUMNS.into_iter().chain(RawFeatures::DEVIATIONS);
+    names.map(|n| Field::new(n, DataType::Float64, true)).collect()
+}
+
+fn raw_columns(rows: &[FeatureValues]) -> Vec<ArrayRef> {
+    let column = |f: &dyn Fn(&FeatureValues) -> Option<f64>| -> ArrayRef {
+        Arc::new(rows.iter().map(f).collect::<Float64Array>())
+    };
+    let means = (0..RawFeatures::COUNT).map(|k| column(&|v| v[k].0));
+    let deviations = (0..RawFeatures::COUNT).map(|k| column(&|v| v[k].0.map(|_| v[k].1)));
+    means.chain(deviations).collect()
+}
+
+/// What a part's telemetry is, as its staged features remember it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Receipt {
+    pub bytes: u64,
+    pub blake3: String,
+    /// samples
+    pub rows: u64,
+}
+
+/// A part's features before the merge.
+pub struct Staged {
+    /// by run, in order
+    pub rows: Vec<FeatureValues>,
+    /// none where telemetry is not kept
+    pub telemetry: Option<Receipt>,
+}
+
+impl Staged {
+    pub fn to_bytes(&self, path: &str, plan_fingerprint: &str, part: &Part) -> Result<Vec<u8>> {
+        let mut fields = vec![Field::new("run", DataType::UInt64, false)];
+        fields.extend(raw_fields());
+        let mut columns: Vec<ArrayRef> = vec![Arc::new(UInt64Array::from_iter_values(part.runs.clone()))];
+        columns.extend(raw_columns(&self.rows));
+        let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), columns).map_err(|e| torn(path, e))?;
+        let mut pairs = vec![
+            ("ema.schema_version".to_string(), SCHEMA_VERSION.to_string()),
+            ("ema.plan".into(), plan_fingerprint.into()),
+            ("ema.part".into(), part.number.to_string()),
+        ];
+        if let Some(t) = &self.telemetry {
+            pairs.push(("ema.telemetry_bytes".into(), t.bytes.to_string()));
+            pairs.push(("ema.telemetry_blake3".into(), t.blake3.clone()));
+            pairs.push(("ema.telemetry_rows".into(), t.rows.to_string()));
+        }
+        to_bytes(path, &[batch], pairs)
+    }
+
+    /// Refuses what is not whole, or of another plan or part.
+    pub fn from_bytes(path: &str, bytes: Bytes, plan_fingerprint: &str, part: &Part) -> Result<Self> {
+        let table = Table::read(path, bytes)?;
+        for (key, wanted) in [
+            ("ema.plan", plan_fingerprint.to_string()),
+            ("ema.part", part.number.to_string()),
+        ] {
+            let found = table.pair(key);
+            if found != wanted {
+                return Err(Error::bad(path, format!("metadata `{key}`"), found, wanted));
+            }
+        }
+        let runs = table.numbers("run")?;
+        if !runs.iter().copied().eq(part.runs.clone()) {
+            let allowed = format!("runs {} to {}, each once", part.runs.start, part.runs.end - 1);
+            return Err(Error::bad(
+                path,
+                "column `run`",
+                format!("{} rows", runs.len()),
+                allowed,
+            ));
+        }
+        let number = |key: &str| table.pair(key).parse::<u64>().ok();
+        let telemetry = match (number("ema.telemetry_bytes"), number("ema.telemetry_rows")) {
+            (Some(bytes), Some(rows)) => Some(Receipt {
+                bytes,
+                rows,
+                blake3: table.pair("ema.telemetry_blake3"),
+            }),
+            _ => None,
+        };
+        if telemetry.is_some() != part.telemetry {
+            let found = if telemetry.is_some() {
+                "telemetry"
+            } else {
+                "no telemetry"
+            };
+            return Err(Error::bad(
+                path,
+                "metadata `ema.telemetry_bytes`",
+                found,
+                "that of the plan",
+            ));
+        }
+        Ok(Self {
+            rows: table.features()?,
+            telemetry,
+        })
+    }
+}
+
+/// A Parquet file that was read whole.
+pub struct Table {
+    path: String,
+    pairs: BTreeMap<String, String>,
+    batches: Vec<RecordBatch>,
+}
+
+impl Table {
+    pub fn read(path: &str, bytes: Bytes) -> Result<Self> {
+        let size = bytes.len();
+        let broken = |e: &dyn std::fmt::Display| torn(path, format!("not a whole Parquet file of {size} bytes ({e})"));
+        let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(|e| broken(&e))?;
+        let list = builder.metadata().file_metadata().key_value_metadata();
+        let pairs = list
+            .into_iter()
+            .flatten()
+            .filter_map(|kv| Some((kv.key.clone(), kv.value.clone()?)))
+            .collect();
+        let reader = builder.with_batch_size(1 << 16).build().map_err(|e| broken(&e))?;
+        let batches = reader.map(|b| b.map_err(|e| broken(&e))).collect::<Result<_>>()?;
+        Ok(Self {
+            path: path.into(),
+            pairs,
+            batches,
+        })
+    }
+
+    /// Number of rows, by the footer alone.
+    pub fn rows_of(path: &str, bytes: Bytes) -> Result<u64> {
+        let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(|e| torn(path, e))?;
+        Ok(builder.metadata().file_metadata().num_rows() as u64)
+    }
+
+    pub fn pair(&self, key: &str) -> String {
+        self.pairs.get(key).cloned().unwrap_or_else(|| "nothing".into())
+    }
+
+    pub fn rows(&self) -> usize {
+        self.batches.iter().map(RecordBatch::num_rows).sum()
+    }
+
+    /// Names and types, as in `other`?
+    pub fn schema(&self) -> Option<Arc<Schema>> {
+        self.batches.first().map(RecordBatch::schema)
+    }
+
+    fn columns(&self, name: &str) -> Result<Vec<&ArrayRef>> {
+        let missing = || {
+            Error::bad(
+                &self.path,
+                "columns",
+                format!("no `{name}`"),
+                "those of schemas/README.md",
+            )
+        };
+        let get = |b: &'_ RecordBatch| b.schema().index_of(name).map_err(|_| missing());
+        self.batches.iter().map(|b| Ok(b.column(get(b)?))).collect()
+    }
+
+    fn wrong(&self, name: &str, found: &DataType) -> Error {
+        Error::bad(
+            &self.path,
+            format!("column `{name}`"),
+            found,
+            "the type of schemas/README.md",
+        )
+    }
+
+    pub fn numbers(&self, name: &str) -> Result<Vec<u64>> {
+        let mut all = Vec::new();
+        for c in self.columns(name)? {
+            let a = c
+                .as_primitive_opt::<UInt64Type>()
+                .ok_or_else(|| self.wrong(name, c.data_type()))?;
+            all.extend_from_slice(a.values());
+        }
+        Ok(all)
+    }
+
+    pub fn values(&self, name: &str) -> Result<Vec<Option<f64>>> {
+        let mut all = Vec::new();
+        for c in self.columns(name)? {
+            let a = c
+                .as_primitive_opt::<Float64Type>()
+                .ok_or_else(|| self.wrong(name, c.data_type()))?;
+            all.extend(a.iter());
+        }
+        Ok(all)
+    }
+
+    pub fn texts(&self, name: &str) -> Result<Vec<String>> {
+        let mut all = Vec::new();
+        for c in self.columns(name)? {
+            let a = c
+                .as_string_opt::<i32>()
+                .ok_or_else(|| self.wrong(name, c.data_type()))?;
+            all.extend(a.iter().map(|x| x.unwrap_or_default().to_string()));
+        }
+        Ok(all)
+    }
+
+    /// The raw features of all rows.
+    pub fn features(&self) -> Result<Vec<FeatureValues>> {
+        let means = RawFeatures::COLUMNS
+            .map(|n| self.values(n))
+            .into_iter()
+            .collect::<Result<Vec<_>>>()?;
+        let sds = RawFeatures::DEVIATIONS
+            .map(|n| self.values(n))
+            .into_iter()
+            .collect::<Result<Vec<_>>>()?;
+        let row = |i: usize| std::array::from_fn(|k| (means[k][i], sds[k][i].unwrap_or(0.0)));
+        Ok((0..self.rows()).map(row).collect())
+    }
+}
+
+/// The features of some runs of one actuator.
+pub struct PartRows<'a> {
+    pub part: &'a Part,
+    pub rows: Vec<FeatureValues>,
+}
+
+/// Columns of `features` before the raw ones.
+const KEYS: [&str; 6] = ["actuator", "tail", "position", "sequence", "kind", "run"];
+
+/// Columns that are worked out with the healthy run.
+const OVER_HEALTHY: [&str; 3] = ["p1_rad_per_s", "p3", "speed_loss_rad_per_s"];
+
+/// The schema of `features`.
+pub fn features_schema() -> Schema {
+    let text = |n: &str| Field::new(n, DataType::Utf8, false);
+    let number = |n: &str| Field::new(n, DataType::Float64, true);
+    let mut fields = vec![Field::new(KEYS[5], DataType::UInt64, false)];
+    fields.extend(KEYS[..5].iter().map(|n| text(n)));
+    fields.extend(["fsj", "zeta", "rest_angle_rad"].map(number));
+    fields.extend(OVER_HEALTHY.map(number));
+    fields.extend(raw_fields());
+    Schema::new(fields)
+}
+
+/// The rows of one row group of `features`; all parts of an actuator are among `parts`.
+fn features_batch(plan: &FleetPlan, parts: &[PartRows<'_>]) -> Result<RecordBatch> {
+    // the healthy run of an actuator, sequence and rest angle
+    let mut healthy: BTreeMap<(usize, usize, usize), RawFeatures> = BTreeMap::new();
+    let raw = |v: &FeatureValues| RawFeatures::from_values(v.map(|x| x.0), None);
+    let key = |p: &Part| (p.actuator, p.sequence, p.rest);
+    for p in parts.iter().filter(|p| p.part.kind == super::parts::Kind::Map) {
+        for (run, v) in p.part.runs.clone().zip(&p.rows) {
+            if plan.fault(p.part, run) == schemas::fault::FaultState::NOMINAL {
+                healthy.insert(key(p.part), raw(v));
+            }
+        }
+    }
+    let mut texts: [Vec<&str>; 5] = Default::default();
+    let mut runs = Vec::new();
+    let mut numbers: [Vec<Option<f64>>; 6] = Default::default();
+    let mut rows = Vec::new();
+    for p in parts {
+        let a = &plan.actuators[p.part.actuator];
+        let nominal = healthy.get(&key(p.part));
+        let sequence = &plan.sequences[p.part.sequence].name;
+        for (run, v) in p.part.runs.clone().zip(&p.rows) {
+            let keys = [a.id.as_str(), &a.tail, &a.position, sequence, p.part.kind.name()];
+            for (column, text) in texts.iter_mut().zip(keys) {
+                column.push(text);
+            }
+            runs.push(run);
+            let fault = plan.fault(p.part, run);
+            let over = nominal.map(|n| Features::over(&raw(v), n));
+            let values = [
+                Some(fault.fsj),
+                Some(fault.zeta),
+                Some(plan.rest_angles_rad[p.part.rest]),
+                over.and_then(|f| f.p1_rad_per_s),
+                over.and_then(|f| f.p3),
+                over.and_then(|f| f.speed_loss_rad_per_s),
+            ];
+            for (column, x) in numbers.iter_mut().zip(values) {
+                column.push(x);
+            }
+            rows.push(*v);
+        }
+    }
+    let mut columns: Vec<ArrayRef> = vec![Arc::new(UInt64Array::from(runs))];
+    columns.extend(
+        texts
+            .into_iter()
+            .map(|t| -> ArrayRef { Arc::new(StringArray::from(t)) }),
+    );
+    columns.extend(
+        numbers
+            .into_iter()
+            .map(|x| -> ArrayRef { Arc::new(Float64Array::from(x)) }),
+    );
+    columns.extend(raw_columns(&rows));
+    RecordBatch::try_new(Arc::new(features_schema()), columns).map_err(|e| torn("features", e))
+}
+
+/// A file of `features`: a row group for each of `groups`.
+pub fn features_file(plan: &FleetPlan, path: &str, groups: &[Vec<PartRows<'_>>]) -> Result<Vec<u8>> {
+    let batches: Vec<RecordBatch> = groups.iter().map(|g| features_batch(plan, g)).collect::<Result<_>>()?;
+    to_bytes(path, &batches, pairs(plan))
+}
+
+/// The table `actuators`.
+pub fn actuators_file(plan: &FleetPlan, path: &str) -> Result<Vec<u8>> {
+    let mut fields: Vec<Field> = ["actuator", "tail", "position", "parameters"]
+        .map(|n| Field::new(n, DataType::Utf8, false))
+        .to_vec();
+    fields.extend(PARAMETERS.map(|p| Field::new(p.0, DataType::Float64, false)));
+    let text = |f: &dyn Fn(&super::plan::FleetActuator) -> String| -> ArrayRef {
+        Arc::new(StringArray::from_iter_values(plan.actuators.iter().map(f)))
+    };
+    let mut columns = vec![
+        text(&|a| a.id.clone()),
+        text(&|a| a.tail.clone()),
+        text(&|a| a.position.clone()),
+        text(&|a| a.parameters.fingerprint()),
+    ];
+    for k in 0..PARAMETERS.len() {
+        let values = plan.actuators.iter().map(|a| a.parameters.values()[k]);
+        columns.push(Arc::new(Float64Array::from_iter_values(values)));
+    }
+    let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), columns).map_err(|e| torn(path, e))?;
+    to_bytes(path, &[batch], pairs(plan))
+}
