@@ -7,18 +7,19 @@ use crate::error::{Error, Result};
 use crate::recording::{telemetry_schema, writer_properties};
 use crate::telemetry::TelemetryView;
 use arrow::array::{ArrayRef, Float32Array, Float64Array, Int64Array, UInt64Array};
-use arrow::datatypes::Schema;
+use arrow::datatypes::{Field, Schema};
 use parquet::arrow::ArrowSchemaConverter;
 use parquet::arrow::arrow_writer::{ArrowColumnChunk, ArrowColumnWriter, ArrowRowGroupWriterFactory, compute_leaves};
+use parquet::basic::{Compression, Encoding};
 use parquet::errors::ParquetError;
-use parquet::file::properties::{WriterProperties, WriterPropertiesPtr};
+use parquet::file::properties::{EnabledStatistics, WriterProperties, WriterPropertiesPtr};
 use parquet::file::writer::SerializedFileWriter;
-use parquet::schema::types::SchemaDescriptor;
+use parquet::schema::types::{ColumnPath, SchemaDescriptor};
 use std::path::Path;
 use std::sync::Arc;
 
 /// Samples that are handed to the encoders at once.
-const ROWS: usize = 4096;
+const ROWS: usize = 16_384;
 
 fn unforeseen(e: ParquetError) -> Error {
     Error::torn(Path::new("telemetry in memory"), e)
@@ -40,7 +41,10 @@ impl TelemetryLayout {
     ///   them to f32 already
     /// * `rate_hz` samples a second
     pub fn new(channels: ChannelSet, single: bool, rate_hz: f64) -> Result<Self> {
-        let schema = Arc::new(telemetry_schema(channels, single));
+        // every run has its faults: nothing is null
+        let fields = telemetry_schema(channels, single).fields;
+        let fields = fields.iter().map(|f| f.as_ref().clone().with_nullable(false));
+        let schema = Arc::new(Schema::new(fields.collect::<Vec<Field>>()));
         let parquet = ArrowSchemaConverter::new().convert(&schema).map_err(unforeseen)?;
         let properties: WriterPropertiesPtr = Arc::new(Self::properties(&schema, Vec::new()));
         let nowhere = SerializedFileWriter::new(std::io::sink(), parquet.root_schema_ptr(), properties);
@@ -55,8 +59,27 @@ impl TelemetryLayout {
         })
     }
 
+    /// As other tables, but for what a run has in common: a dictionary would look up every row of it.
     fn properties(schema: &Schema, pairs: Vec<(String, String)>) -> WriterProperties {
-        writer_properties(schema, pairs)
+        let mut b = writer_properties(schema, pairs)
+            .into_builder()
+            .set_statistics_enabled(EnabledStatistics::Chunk);
+        for name in ["run", "fsj", "zeta", "rest_angle_rad"] {
+            let plain = if name == "run" {
+                Encoding::DELTA_BINARY_PACKED
+            } else {
+                Encoding::PLAIN
+            };
+            let column = ColumnPath::from(name);
+            b = b
+                .set_column_dictionary_enabled(column.clone(), false)
+                .set_column_encoding(column, plain);
+        }
+        // differences that are all the same need no further compression
+        for name in ["run", "t_ns"] {
+            b = b.set_column_compression(ColumnPath::from(name), Compression::UNCOMPRESSED);
+        }
+        b.build()
     }
 
     /// Bytes of a sample before they are encoded.
@@ -144,8 +167,14 @@ impl RunEncoder {
                 Waiting::Double(w) => w[k].extend_from_slice(values),
             }
         }
-        let end = |i: usize| ((view.first + i as u64) as f64 / self.rate_hz * 1e9).round() as i64;
-        self.time.extend((0..view.rows).map(end));
+        let numbers = view.first..view.first + view.rows as u64;
+        let interval_ns = 1e9 / self.rate_hz;
+        if interval_ns.fract() == 0.0 {
+            self.time.extend(numbers.map(|n| n as i64 * interval_ns as i64));
+        } else {
+            let end = |n: u64| (n as f64 / self.rate_hz * 1e9).round() as i64;
+            self.time.extend(numbers.map(end));
+        }
         self.rows += view.rows as u64;
         if self.time.len() >= ROWS { self.flush() } else { Ok(()) }
     }

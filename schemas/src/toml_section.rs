@@ -47,8 +47,13 @@ pub fn quoted(text: &str) -> String {
     out + "\""
 }
 
+/// On one line.
 fn show(v: &Value) -> String {
-    let s = v.to_string();
+    let s: String = v
+        .to_string()
+        .chars()
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .collect();
     if s.len() > 60 {
         format!("{}...", s.chars().take(57).collect::<String>())
     } else {
@@ -194,6 +199,16 @@ impl Section {
         Ok(())
     }
 
+    /// Puts a text in the place of the value of `key`.
+    pub fn put_text(&mut self, key: &str, value: &str) {
+        self.table.insert(key.into(), Value::String(value.into()));
+    }
+
+    /// The table as TOML; comments are not kept.
+    pub fn to_toml(&self) -> String {
+        self.table.to_string()
+    }
+
     /// A list of texts.
     pub fn texts(&mut self, key: &str, allowed: &str) -> Result<Vec<String>> {
         let Some(v) = self.take(key) else {
@@ -315,7 +330,9 @@ impl Section {
     }
 
     /// Refuses what was not asked for.
-    pub fn finish(self) -> Result<()> {
+    pub fn finish(mut self) -> Result<()> {
+        let mut seen = std::collections::BTreeSet::new();
+        self.known.retain(|k| seen.insert(k.clone()));
         match self.table.keys().next() {
             Some(k) => Err(self.bad(k, "an unknown key", self.known.join(", "))),
             None => Ok(()),

@@ -60,7 +60,7 @@ fn compact(
         let name = staged(part.number);
         let bytes = storage.get(&name)?;
         let bytes = bytes.ok_or_else(|| Error::torn(Path::new(&name), "vanished while the parts were put together"))?;
-        Staged::from_bytes(&name, bytes, fingerprint, part)
+        Staged::from_bytes(&name, bytes, fingerprint, part, true)
     };
     let mut receipts: Vec<Option<Receipt>> = Vec::new();
     if !there {
@@ -77,8 +77,15 @@ fn compact(
             groups.last_mut().expect("just pushed").push(PartRows { part, rows });
             receipts.push(staged.telemetry);
         }
-        storage.put_new(&path, features_file(plan, &path, &groups)?)?;
+        storage.put_new(&path, features_file(plan, &groups)?)?;
     } else {
+        let bytes = storage.get(&path)?.unwrap_or_default();
+        let of = Table::pair_of(&path, bytes, "ema.plan")?.unwrap_or_else(|| "nothing".into());
+        if of != fingerprint {
+            let file = format!("{}/{path}", storage.describe());
+            let allowed = format!("{fingerprint}; ema dataset verify --discard removes what is not of this dataset");
+            return Err(Error::bad(file, "metadata `ema.plan`", of, allowed));
+        }
         // merged before; what was staged since is what verification had discarded
         receipts = parts
             .par_iter()

@@ -52,7 +52,7 @@ pub struct Part {
 impl FleetPlan {
     /// Runs of each actuator.
     pub fn runs_per_actuator(&self) -> u64 {
-        (self.groups().map(|g| g.3).sum::<usize>()) as u64
+        self.groups().map(|g| g.3 as u64).sum()
     }
 
     pub fn runs(&self) -> u64 {
@@ -65,7 +65,7 @@ impl FleetPlan {
     }
 
     /// Bytes that a run with telemetry holds while it is simulated, its noise included.
-    fn run_bytes(&self, sequence: usize) -> u64 {
+    pub(super) fn run_bytes(&self, sequence: usize) -> u64 {
         let Some(t) = &self.telemetry else { return 0 };
         let value = if self.sensors.is_some() { 4 } else { 8 };
         let noise = if self.sensors.is_some() { 16 } else { 0 };
@@ -91,6 +91,29 @@ impl FleetPlan {
         (PART_BYTES / bytes.max(1)).clamp(1, LANES as u64) as usize
     }
 
+    fn keeps(&self, kind: Kind) -> bool {
+        let kept = |of: (bool, bool)| if kind == Kind::Map { of.0 } else { of.1 };
+        self.telemetry.as_ref().is_some_and(|t| kept(t.of))
+    }
+
+    /// Most runs of a part of a group of `runs`.
+    fn most(&self, sequence: usize, kind: Kind, runs: usize) -> usize {
+        let bytes = if self.keeps(kind) { self.run_bytes(sequence) } else { 0 };
+        match (PART_BYTES / bytes.max(1)) as usize {
+            n if n >= runs => runs.max(1),
+            n if n > LANES => n / LANES * LANES,
+            n => n.max(1),
+        }
+    }
+
+    /// Parts of each actuator.
+    pub(super) fn parts_per_actuator(&self) -> u64 {
+        let of = |(sequence, _, kind, runs): (usize, usize, Kind, usize)| {
+            runs.div_ceil(self.most(sequence, kind, runs)) as u64
+        };
+        self.groups().map(of).sum()
+    }
+
     /// All parts in order: actuator, then sequence, rest angle and kind.
     pub fn parts(&self) -> Vec<Part> {
         let mut parts = Vec::new();
@@ -98,16 +121,10 @@ impl FleetPlan {
         for actuator in 0..self.actuators.len() {
             let mut files = vec![0; self.sequences.len()];
             for (sequence, rest, kind, runs) in self.groups() {
-                let kept = |of: (bool, bool)| if kind == Kind::Map { of.0 } else { of.1 };
-                let telemetry = self.telemetry.as_ref().is_some_and(|t| kept(t.of));
-                let bytes = if telemetry { self.run_bytes(sequence) } else { 0 };
-                let most = match (PART_BYTES / bytes.max(1)) as usize {
-                    n if n >= runs => runs,
-                    n if n > LANES => n / LANES * LANES,
-                    n => n.max(1),
-                };
+                let telemetry = self.keeps(kind);
+                let most = self.most(sequence, kind, runs);
                 let first = next;
-                for from in (0..runs).step_by(most.max(1)) {
+                for from in (0..runs).step_by(most) {
                     let to = (from + most).min(runs);
                     parts.push(Part {
                         number: parts.len(),

@@ -2,7 +2,6 @@
 
 use super::draw::{Distribution, random};
 use crate::datasets;
-use crate::noise::FEATURE_SEEDS;
 use crate::parameters::{ActuatorParameters, PARAMETERS};
 use crate::sensor::SensorModel;
 use schemas::channel::{Channel, ChannelSet};
@@ -19,8 +18,21 @@ use std::sync::Arc;
 /// this program.
 pub const SOURCE: &str = env!("EMA_WORKER_SOURCE");
 
+/// Noise seeds of a fleet's grid points unless the plan says otherwise: the offset that they leave is half a
+/// standard deviation, the same for all points of a map; sixteen would cost two fifths of the engine's time.
+const SEEDS: u64 = 4;
+
 /// Most actuators of a plan.
 const MOST_ACTUATORS: usize = 100_000;
+
+/// Most runs of an actuator: the results of a part are held together.
+const MOST_RUNS: u64 = 1_000_000;
+
+/// Most bytes of telemetry of a run.
+const MOST_RUN_BYTES: u64 = 1 << 30;
+
+/// Most parts of a plan.
+const MOST_PARTS: u64 = 1_000_000;
 
 /// Most bytes of sensor noise that all runs share.
 const MOST_NOISE_BYTES: u64 = 1 << 28;
@@ -58,6 +70,8 @@ pub struct FleetPlan {
     /// the file's text with the files that it names
     pub text: String,
     pub seed: u64,
+    /// file and text of the actuator that all are variations of
+    base: (String, String),
     pub actuators: Vec<FleetActuator>,
     pub sequences: Vec<TestSequence>,
     pub grid: FaultGrid,
@@ -126,6 +140,14 @@ fn plain_name(text: &str) -> bool {
     plain(text) && text.starts_with(|c: char| c.is_ascii_alphabetic()) && !guessed
 }
 
+/// A name that nothing built in has: where it stands in the plan.
+fn at(s: &Section, key: &str, e: Error) -> Error {
+    match e {
+        Error::Bad { found, allowed, .. } => s.bad(key, found, allowed),
+        e => e,
+    }
+}
+
 fn whole(s: &mut Section, key: &str, default: u64, most: u64) -> Result<u64> {
     let ok = |x: f64| x.fract() == 0.0 && x >= 0.0 && x <= most as f64;
     let allowed = format!("a whole number from 0 to {most}");
@@ -188,7 +210,7 @@ impl FleetPlan {
         for n in &names {
             let sequence = match files.section(n)? {
                 Some(section) => TestSequence::from_section(section)?,
-                None => datasets::sequence(n)?,
+                None => datasets::sequence(n).map_err(|e| at(&s, "sequences", e))?,
             };
             if !plain_name(&sequence.name) {
                 return Err(s.bad("sequences", sequence.name, NAME));
@@ -204,7 +226,7 @@ impl FleetPlan {
         let grid = s.text_or("grid", "standard")?;
         let grid = match files.section(&grid)? {
             Some(section) => datasets::grid_from(section)?,
-            None => datasets::grid(&grid)?,
+            None => datasets::grid(&grid).map_err(|e| at(&s, "grid", e))?,
         };
         let rest_angles_rad = if s.may_have("rest_angle_deg") {
             let turn = |x: f64| (-360.0..=360.0).contains(&x);
@@ -217,7 +239,10 @@ impl FleetPlan {
         let sensors = s.text_or("sensors", "none")?;
         let sensors = match files.section(&sensors)? {
             Some(section) => Some(SensorModel::from_section(section)?),
-            None => datasets::sensors(&sensors)?,
+            None => datasets::sensors(&sensors).map_err(|e| match at(&s, "sensors", e) {
+                Error::Bad { found, allowed, .. } => s.bad("sensors", found, format!("none, {allowed}")),
+                e => e,
+            })?,
         };
         let rate_hz = s.number_or(
             "rate_hz",
@@ -225,7 +250,7 @@ impl FleetPlan {
             |x| (1000.0..=1e6).contains(&x),
             "1000 to 1000000 Hz",
         )?;
-        let feature_seeds = whole(&mut s, "feature_seeds", FEATURE_SEEDS, 64)?.max(1);
+        let feature_seeds = whole(&mut s, "feature_seeds", SEEDS, 64)?.max(1);
         let longest = sequences.iter().map(TestSequence::duration_s).fold(0.0, f64::max);
         let noise = (longest * rate_hz) as u64 * 16 * feature_seeds;
         if sensors.is_some() && noise > MOST_NOISE_BYTES {
@@ -256,10 +281,11 @@ impl FleetPlan {
                 text += &format!("{} = {}\n", quoted(name), several_lines(content));
             }
         }
-        Ok(Self {
+        let plan = Self {
             name,
             text,
             seed,
+            base,
             actuators,
             sequences,
             grid,
@@ -272,10 +298,50 @@ impl FleetPlan {
             telemetry,
             out,
             assumed,
-        })
+        };
+        plan.within_bounds(file)?;
+        Ok(plan)
     }
 
-    /// Of everything that results depend on, the program's sources included; not of names and comments.
+    /// Refuses what no machine holds, before it is tried.
+    fn within_bounds(&self, file: &str) -> Result<()> {
+        for (k, q) in self.sequences.iter().enumerate() {
+            let every = self.telemetry.as_ref().map_or(1, |t| t.every);
+            if self.rows(k) < every {
+                let found = format!("{}, which is over before its first sample", q.name);
+                return Err(Error::bad(
+                    file,
+                    "key `sequences`",
+                    found,
+                    "longer ones, or a higher rate",
+                ));
+            }
+        }
+        let each = self.runs_per_actuator();
+        if each > MOST_RUNS {
+            let found = format!("{each} runs of each actuator");
+            let allowed = format!("at most {MOST_RUNS}: fewer points, rest angles, sequences or tests");
+            return Err(Error::bad(file, "key `grid`", found, allowed));
+        }
+        let bytes = (0..self.sequences.len()).map(|q| self.run_bytes(q)).max().unwrap_or(0);
+        if bytes > MOST_RUN_BYTES {
+            let found = format!("{} MB for each run", bytes / 1_000_000);
+            let allowed = format!(
+                "at most {} MB: a lower rate, fewer channels or a shorter sequence",
+                MOST_RUN_BYTES / 1_000_000
+            );
+            return Err(Error::bad(file, "key `telemetry`", found, allowed));
+        }
+        let parts = self.parts_per_actuator() * self.actuators.len() as u64;
+        if parts > MOST_PARTS {
+            let found = format!("{parts} parts");
+            let allowed = format!("at most {MOST_PARTS}: fewer actuators, rest angles or sequences, less telemetry");
+            return Err(Error::bad(file, "plan", found, allowed));
+        }
+        Ok(())
+    }
+
+    /// Of everything that results and metadata depend on, the program's sources included; not of comments.
     pub fn fingerprint(&self) -> String {
         let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
         let actuator = |a: &FleetActuator| format!("{}={}", a.id, a.parameters.fingerprint());
@@ -284,7 +350,8 @@ impl FleetPlan {
             format!("{},{},{},{:?}", t.every, t.wanted.0, t.stored.0, t.of)
         });
         fingerprint(&format!(
-            "fleet;{SOURCE};{};{};{};{};{};{};{};{};{};{};{};{telemetry}",
+            "fleet;{SOURCE};{};{};{};{};{};{};{};{};{};{};{};{};{telemetry}",
+            self.name,
             self.seed,
             self.actuators.iter().map(actuator).collect::<Vec<_>>().join(","),
             self.sequences.iter().map(sequence).collect::<Vec<_>>().join(","),
@@ -297,6 +364,24 @@ impl FleetPlan {
             self.feature_seeds,
             self.tests_per_actuator,
         ))
+    }
+
+    /// The parameters of one actuator as a TOML file.
+    ///
+    /// * `actuator` its place in [`FleetPlan::actuators`]
+    pub fn actuator_toml(&self, actuator: usize) -> Result<String> {
+        let (file, text) = &self.base;
+        let nominal = ActuatorParameters::parse(file, text)?.values();
+        let a = &self.actuators[actuator];
+        let mut s = toml_section::parse(file, text)?;
+        s.put_text("name", &a.id);
+        let values = a.parameters.values().into_iter().zip(nominal).zip(PARAMETERS);
+        for ((value, nominal), (_, table, key)) in values {
+            if value != nominal {
+                s.put(table, key, value)?;
+            }
+        }
+        Ok(s.to_toml())
     }
 
     /// Fingerprint of the sensors, or `none`.
@@ -337,7 +422,6 @@ impl KeptTelemetry {
             "test" => (false, true),
             _ => return Err(t.bad("of", of, "all, map or test")),
         };
-        t.finish()?;
         let has = |list: &[Channel]| list.iter().all(|&c| wanted.contains(c));
         let derived = |c: Channel| match c {
             Channel::Com => true,
@@ -347,8 +431,11 @@ impl KeptTelemetry {
         };
         let stored = ChannelSet::of(wanted.iter().filter(|&c| !derived(c)));
         if stored == ChannelSet::default() {
-            return Err(t_empty(wanted));
+            let names: Vec<&str> = wanted.iter().map(Channel::name).collect();
+            let allowed = "at least one channel that cannot be derived from the sequence or from others";
+            return Err(t.bad("channels", format!("[{}]", names.join(", ")), allowed));
         }
+        t.finish()?;
         Ok(Self {
             every: (rate_hz / kept).round() as u64,
             rate_hz: kept,
@@ -357,12 +444,6 @@ impl KeptTelemetry {
             of,
         })
     }
-}
-
-fn t_empty(wanted: ChannelSet) -> Error {
-    let names: Vec<&str> = wanted.iter().map(Channel::name).collect();
-    let allowed = "at least one channel that cannot be derived from the sequence or from others";
-    Error::bad("plan", "key `telemetry.channels`", names.join(", "), allowed)
 }
 
 /// Place in [`PARAMETERS`] and distribution of what differs.
@@ -387,6 +468,9 @@ fn spread(s: &mut Section, assumed: &mut Vec<String>) -> Result<Spreads> {
     Ok(list)
 }
 
+/// Tail, position, and what is known of the actuator there.
+type Place = (String, String, Vec<(usize, f64)>);
+
 /// Tails by positions, then single actuators with what is known of them.
 fn actuators(
     s: &mut Section,
@@ -394,7 +478,7 @@ fn actuators(
     (file, text): &(String, String),
     spread: &Spreads,
 ) -> Result<Vec<FleetActuator>> {
-    let mut places: Vec<(String, String, Vec<(usize, f64)>)> = Vec::new();
+    let mut places: Vec<Place> = Vec::new();
     if s.may_have("aircraft") {
         let mut t = s.section("aircraft")?;
         let positions = t.texts("positions", "a list of texts")?;
@@ -416,6 +500,12 @@ fn actuators(
             return Err(t.bad("positions", bad, PLAIN));
         }
         t.finish()?;
+        // before they are made
+        let count = tails.len() * positions.len();
+        if count > MOST_ACTUATORS {
+            let allowed = format!("1 to {MOST_ACTUATORS} actuators");
+            return Err(s.bad("aircraft", format!("{count} actuators"), allowed));
+        }
         for tail in &tails {
             for position in &positions {
                 places.push((tail.clone(), position.clone(), Vec::new()));
@@ -456,7 +546,8 @@ fn actuators(
         return Err(s.bad("aircraft", format!("{}.{} twice", p.0, p.1), "each actuator once"));
     }
     let nominal = ActuatorParameters::parse(file, text)?.values();
-    let one = |(tail, position, known): (String, String, Vec<(usize, f64)>)| {
+    let plan = s.file();
+    let one = |(tail, position, known): Place| {
         let id = format!("{tail}.{position}");
         let mut values: Vec<(usize, f64)> = Vec::new();
         for &(k, distribution) in spread {
@@ -471,7 +562,7 @@ fn actuators(
             values.push((k, drawn.min(most)));
         }
         values.extend(known);
-        let mut parameters = ActuatorParameters::parse_with(&format!("{file}: actuator {id}"), text, &values)?;
+        let mut parameters = ActuatorParameters::parse_with(&format!("{plan}: actuator {id} ({file})"), text, &values)?;
         parameters.name = id.clone();
         Ok(FleetActuator {
             id,

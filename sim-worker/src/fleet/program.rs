@@ -5,9 +5,10 @@ use super::plan::FleetPlan;
 use super::shard::{SHARDS, Shard};
 use super::storage::Storage;
 use super::work::{Done, work};
-use crate::progress::{catch_interrupts, with_bar};
+use crate::progress::{catch_interrupts, interrupted, with_bar};
 use crate::worker::Progress;
 use clap::Parser;
+use clap::builder::RangedU64ValueParser;
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -29,6 +30,14 @@ Exit codes: 0 done | 1 unforeseen failure, for example a full disk or a network 
 | 3 not finished: parts are missing, which shards to run is said | 4 bad input: one line says file, place, value found and what is allowed \
 | 130 interrupted (Ctrl-C, SIGTERM); what is done is kept";
 
+const INTERRUPTED: &str = "sim-worker: interrupted; what is done is kept, the same command goes on from there";
+
+/// More threads than this are a slip of the hand, and would bring the machine down.
+const MOST_JOBS: u64 = 4096;
+
+/// How long a program that was asked to stop may take to do so by itself.
+const GRACE: Duration = Duration::from_secs(1);
+
 /// Simulate one share of a fleet plan, or put all shares together.
 #[derive(Parser)]
 #[command(name = "sim-worker", version, after_help = AFTER)]
@@ -46,7 +55,8 @@ struct Program {
     #[arg(long, env = "EMA_DATASET", value_name = "URL")]
     out: Option<String>,
     /// Threads; SLURM_CPUS_PER_TASK or all cores if left out
-    #[arg(long, env = "SLURM_CPUS_PER_TASK", hide_env = true, value_name = "N")]
+    #[arg(long, env = "SLURM_CPUS_PER_TASK", hide_env = true, value_name = "N",
+        value_parser = RangedU64ValueParser::<usize>::new().range(1..=MOST_JOBS))]
     jobs: Option<usize>,
 }
 
@@ -116,12 +126,14 @@ pub fn summary(done: &Done, seconds: f64) -> String {
 
 /// What is missing, in words: which shards to run.
 pub fn missing(plan: &FleetPlan, parts: &[usize]) -> String {
-    let total = plan.parts().len();
-    let count = std::env::var(SHARDS)
-        .ok()
-        .and_then(|t| t.parse().ok())
-        .filter(|&n| n > 0);
-    let count: usize = count.unwrap_or(total);
+    missing_of(plan.parts().len(), parts, None)
+}
+
+/// As [`missing`], of `total` parts, by the names of `count` shards: as many as `EMA_SHARDS` says if not
+/// given, else a shard a part.
+pub fn missing_of(total: usize, parts: &[usize], count: Option<usize>) -> String {
+    let set = || std::env::var(SHARDS).ok().and_then(|t| t.parse().ok());
+    let count = count.or_else(set).filter(|&n| n > 0).unwrap_or(total);
     let mut shards: Vec<String> = parts.iter().map(|&p| Shard::of(p, total, count).to_string()).collect();
     shards.dedup();
     let more = shards.len().saturating_sub(20);
@@ -178,16 +190,30 @@ fn run(p: &Program) -> Result<ExitCode> {
             Ok(ExitCode::SUCCESS)
         }
         None => {
-            eprintln!("sim-worker: interrupted; what is done is kept, the same command goes on from there");
+            eprintln!("{INTERRUPTED}");
             Ok(ExitCode::from(EXIT_INTERRUPTED))
         }
     }
+}
+
+/// Ends a program that was asked to stop and does not, as it waits for a network or puts a dataset together.
+/// That does no harm: it might as well have been killed.
+fn end_when_interrupted() {
+    std::thread::spawn(|| {
+        while !interrupted() {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        std::thread::sleep(GRACE);
+        eprintln!("{INTERRUPTED}");
+        std::process::exit(i32::from(EXIT_INTERRUPTED));
+    });
 }
 
 /// The program `sim-worker`.
 pub fn main() -> ExitCode {
     let program = Program::parse();
     catch_interrupts();
+    end_when_interrupted();
     run(&program).unwrap_or_else(|e| {
         eprintln!("sim-worker: {}", e.to_string().replace('\n', " "));
         ExitCode::from(e.exit_code())

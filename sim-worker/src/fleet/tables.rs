@@ -7,33 +7,47 @@ use crate::parameters::PARAMETERS;
 use arrow::array::{Array, ArrayRef, AsArray, Float64Array, RecordBatch, StringArray, UInt64Array};
 use arrow::datatypes::{DataType, Field, Float64Type, Schema, UInt64Type};
 use bytes::Bytes;
-use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use schemas::SCHEMA_VERSION;
 use schemas::error::{Error, Result};
 use schemas::feature::{Features, RawFeatures};
-use schemas::fingerprint::fingerprint;
-use schemas::recording::{Provenance, writer_properties};
+use schemas::fingerprint::{checksum, fingerprint};
+use schemas::recording::{Provenance, table_bytes};
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 
 fn torn(path: &str, e: impl std::fmt::Display) -> Error {
     Error::torn(Path::new(path), e)
 }
 
-/// A table as a Parquet file, a row group a batch.
-fn to_bytes(path: &str, batches: &[RecordBatch], pairs: Vec<(String, String)>) -> Result<Vec<u8>> {
-    let schema = batches[0].schema();
-    let mut bytes = Vec::new();
-    let properties = writer_properties(&schema, pairs);
-    let mut w = ArrowWriter::try_new(&mut bytes, schema, Some(properties)).map_err(|e| torn(path, e))?;
-    for b in batches {
-        w.write(b).map_err(|e| torn(path, e))?;
-        w.flush().map_err(|e| torn(path, e))?;
-    }
-    w.close().map_err(|e| torn(path, e))?;
-    Ok(bytes)
+thread_local! {
+    static GUARDED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Reads bytes that may be damaged: the Parquet library panics on some of them. Such a panic is an error, and
+/// says nothing on standard error.
+pub fn guarded<T>(read: impl FnOnce() -> T) -> std::result::Result<T, &'static str> {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let before = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |info| {
+            if !GUARDED.get() {
+                before(info);
+            }
+        }));
+    });
+    GUARDED.set(true);
+    let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(read));
+    GUARDED.set(false);
+    done.map_err(|_| "damaged within")
+}
+
+/// A Parquet file by its footer.
+pub fn opened(bytes: Bytes) -> std::result::Result<ParquetRecordBatchReaderBuilder<Bytes>, String> {
+    let open = || ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(|e| e.to_string());
+    guarded(open).unwrap_or_else(|e| Err(e.into()))
 }
 
 /// Metadata that all tables of a dataset have.
@@ -133,17 +147,37 @@ impl Staged {
             ("ema.plan".into(), plan_fingerprint.into()),
             ("ema.part".into(), part.number.to_string()),
         ];
+        pairs.push(("ema.checksum".into(), self.checksum()));
         if let Some(t) = &self.telemetry {
             pairs.push(("ema.telemetry_bytes".into(), t.bytes.to_string()));
             pairs.push(("ema.telemetry_blake3".into(), t.blake3.clone()));
             pairs.push(("ema.telemetry_rows".into(), t.rows.to_string()));
         }
-        to_bytes(path, &[batch], pairs)
+        table_bytes(&[batch], pairs)
+    }
+
+    /// Of all that the merge takes from it: bits that fall over before the merge must not get into the dataset.
+    fn checksum(&self) -> String {
+        let mut bytes = format!("{:?}", self.telemetry).into_bytes();
+        for (value, deviation) in self.rows.iter().flatten() {
+            bytes.push(u8::from(value.is_some()));
+            bytes.extend(value.unwrap_or(0.0).to_bits().to_le_bytes());
+            bytes.extend(value.map_or(0.0, |_| *deviation).to_bits().to_le_bytes());
+        }
+        checksum(&bytes)
     }
 
     /// Refuses what is not whole, or of another plan or part.
-    pub fn from_bytes(path: &str, bytes: Bytes, plan_fingerprint: &str, part: &Part) -> Result<Self> {
-        let table = Table::read(path, bytes)?;
+    ///
+    /// * `same_program` the part was made by this version of the program, so that it can be compared bit by bit
+    pub fn from_bytes(
+        path: &str,
+        bytes: Bytes,
+        plan_fingerprint: &str,
+        part: &Part,
+        same_program: bool,
+    ) -> Result<Self> {
+        let table = Table::read(path, bytes.clone())?;
         for (key, wanted) in [
             ("ema.plan", plan_fingerprint.to_string()),
             ("ema.part", part.number.to_string()),
@@ -185,10 +219,17 @@ impl Staged {
                 "that of the plan",
             ));
         }
-        Ok(Self {
+        let staged = Self {
             rows: table.features()?,
             telemetry,
-        })
+        };
+        if table.pair("ema.checksum") != staged.checksum() {
+            return Err(torn(path, "changed: another checksum than when it was made"));
+        }
+        if same_program && staged.to_bytes(path, plan_fingerprint, part)? != bytes {
+            return Err(torn(path, "changed: its rows are written in another way"));
+        }
+        Ok(staged)
     }
 }
 
@@ -201,6 +242,12 @@ pub struct Table {
 
 impl Table {
     pub fn read(path: &str, bytes: Bytes) -> Result<Self> {
+        let size = bytes.len();
+        guarded(|| Self::read_trusting(path, bytes))
+            .unwrap_or_else(|e| Err(torn(path, format!("not a whole Parquet file of {size} bytes ({e})"))))
+    }
+
+    fn read_trusting(path: &str, bytes: Bytes) -> Result<Self> {
         let size = bytes.len();
         let broken = |e: &dyn std::fmt::Display| torn(path, format!("not a whole Parquet file of {size} bytes ({e})"));
         let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(|e| broken(&e))?;
@@ -221,8 +268,16 @@ impl Table {
 
     /// Number of rows, by the footer alone.
     pub fn rows_of(path: &str, bytes: Bytes) -> Result<u64> {
-        let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(|e| torn(path, e))?;
+        let builder = opened(bytes).map_err(|e| torn(path, e))?;
         Ok(builder.metadata().file_metadata().num_rows() as u64)
+    }
+
+    /// The metadata `key`, by the footer alone.
+    pub fn pair_of(path: &str, bytes: Bytes, key: &str) -> Result<Option<String>> {
+        let builder = opened(bytes).map_err(|e| torn(path, e))?;
+        let list = builder.metadata().file_metadata().key_value_metadata();
+        let found = list.into_iter().flatten().find(|kv| kv.key == key);
+        Ok(found.and_then(|kv| kv.value.clone()))
     }
 
     pub fn pair(&self, key: &str) -> String {
@@ -391,9 +446,9 @@ fn features_batch(plan: &FleetPlan, parts: &[PartRows<'_>]) -> Result<RecordBatc
 }
 
 /// A file of `features`: a row group for each of `groups`.
-pub fn features_file(plan: &FleetPlan, path: &str, groups: &[Vec<PartRows<'_>>]) -> Result<Vec<u8>> {
+pub fn features_file(plan: &FleetPlan, groups: &[Vec<PartRows<'_>>]) -> Result<Vec<u8>> {
     let batches: Vec<RecordBatch> = groups.iter().map(|g| features_batch(plan, g)).collect::<Result<_>>()?;
-    to_bytes(path, &batches, pairs(plan))
+    table_bytes(&batches, pairs(plan))
 }
 
 /// The table `actuators`.
@@ -416,5 +471,5 @@ pub fn actuators_file(plan: &FleetPlan, path: &str) -> Result<Vec<u8>> {
         columns.push(Arc::new(Float64Array::from_iter_values(values)));
     }
     let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), columns).map_err(|e| torn(path, e))?;
-    to_bytes(path, &[batch], pairs(plan))
+    table_bytes(&[batch], pairs(plan))
 }

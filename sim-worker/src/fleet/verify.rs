@@ -1,19 +1,18 @@
 //! Checks a dataset: every run once, counts, checksums, fingerprints, schema, value ranges; and says which
 //! parts to make again.
 
-use super::layout::{ACTUATORS, MANIFEST, features, staged};
+use super::layout::{ACTUATORS, MANIFEST, PLAN, features, staged};
 use super::manifest::{File, Manifest};
 use super::parts::Part;
-use super::plan::FleetPlan;
+use super::plan::{FleetPlan, SOURCE};
 use super::ranges::{FeatureRanges, telemetry_ranges};
 use super::storage::Storage;
-use super::tables::{Staged, Table, features_schema};
+use super::tables::{Staged, Table, actuators_file, features_schema, opened};
 use super::work::{Made, plan_of};
 use bytes::Bytes;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::file::statistics::Statistics;
 use rayon::prelude::*;
-use schemas::error::Result;
+use schemas::error::{Error, Result};
 use schemas::fingerprint::checksum;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -52,6 +51,62 @@ pub struct FleetSummary {
     pub parts: usize,
 }
 
+impl FleetSummary {
+    fn of(plan: &FleetPlan) -> Self {
+        Self {
+            name: plan.name.clone(),
+            actuators: plan.actuators.len(),
+            runs: plan.runs(),
+            parts: plan.parts().len(),
+        }
+    }
+}
+
+/// The first thing in which a manifest is not that of the plan.
+fn wrong_in(m: &Manifest, plan: &FleetPlan, fingerprint: &str) -> Option<String> {
+    let parts = plan.parts();
+    let actuators = plan.actuators.len() as u64;
+    let mut wanted: BTreeMap<String, (u64, Option<u64>, Option<u64>)> = BTreeMap::new();
+    wanted.insert(ACTUATORS.into(), (actuators, None, None));
+    for p in &parts {
+        let runs = p.runs.end - p.runs.start;
+        let file = wanted
+            .entry(features(plan.features_file(p.actuator)))
+            .or_insert((0, Some(p.runs.start), Some(0)));
+        *file = (file.0 + runs, file.1, file.2.map(|n| n + runs));
+        if let (true, Some(t)) = (p.telemetry, &plan.telemetry) {
+            let rows = plan.rows(p.sequence) / t.every * runs;
+            wanted.insert(plan.telemetry_path(p), (rows, Some(p.runs.start), Some(runs)));
+        }
+    }
+    let head = |name: &str, plan: &str, runs: u64, actuators: u64, parts: u64| {
+        format!("{runs} runs of {actuators} actuators in {parts} parts of {name} by plan {plan}")
+    };
+    let found = head(&m.name, &m.plan, m.runs, m.actuators, m.parts);
+    let planned = head(&plan.name, fingerprint, plan.runs(), actuators, parts.len() as u64);
+    if found != planned {
+        return Some(format!("{found}, planned {planned}"));
+    }
+    if fingerprint == plan.fingerprint() && m.source != SOURCE {
+        return Some(format!("sources {}, planned {SOURCE}", m.source));
+    }
+    for f in &m.files {
+        match wanted.remove(&f.path) {
+            None => {
+                return Some(format!(
+                    "names {}, which the plan does not have, or names it twice",
+                    f.path
+                ));
+            }
+            Some(w) if w != (f.rows, f.first_run, f.runs) => {
+                return Some(format!("{}: {} rows, planned {}, or other runs", f.path, f.rows, w.0));
+            }
+            Some(_) => {}
+        }
+    }
+    wanted.keys().next().map(|path| format!("does not name {path}"))
+}
+
 impl Report {
     /// Parts to make again, each once.
     pub fn parts(&self) -> Vec<usize> {
@@ -63,6 +118,7 @@ impl Report {
 struct Check<'a> {
     plan: &'a FleetPlan,
     fingerprint: String,
+    same_program: bool,
     storage: &'a Storage,
 }
 
@@ -156,7 +212,7 @@ impl Check<'_> {
     /// time, and the least and greatest value of each channel.
     fn telemetry(&self, bytes: Bytes, part: &Part) -> Vec<String> {
         let size = bytes.len();
-        let builder = match ParquetRecordBatchReaderBuilder::try_new(bytes) {
+        let builder = match opened(bytes) {
             Ok(b) => b,
             Err(e) => return vec![format!("not a whole Parquet file of {size} bytes ({e})")],
         };
@@ -248,6 +304,21 @@ impl Check<'_> {
         };
         let size = bytes.len() as u64;
         let mut wrong = Vec::new();
+        if entry.is_none() && path == ACTUATORS && self.fingerprint == self.plan.fingerprint() {
+            let same = bytes == actuators_file(self.plan, path)?;
+            wrong.extend((!same).then(|| "changed: not that of the plan".to_string()));
+        }
+        if let (None, Some(part)) = (entry, parts.first().filter(|_| path.starts_with("telemetry/"))) {
+            let name = staged(part.number);
+            let read = |b| Staged::from_bytes(&name, b, &self.fingerprint, part, self.same_program).ok();
+            // damage of the staged file is found there
+            let receipt = self.storage.get(&name)?.and_then(read).and_then(|s| s.telemetry);
+            if receipt.is_some_and(|r| (r.bytes, r.blake3) != (size, checksum(&bytes))) {
+                wrong.push(format!(
+                    "changed: {size} bytes, not those that the part was staged with"
+                ));
+            }
+        }
         if let Some(e) = entry {
             if size != e.bytes {
                 wrong.push(format!("torn: {size} bytes, the manifest says {}", e.bytes));
@@ -257,9 +328,11 @@ impl Check<'_> {
         }
         match parts.first() {
             None => {}
+            // what is in damaged bytes says nothing more
+            Some(_) if !wrong.is_empty() => {}
             Some(part) if path.starts_with("telemetry/") => wrong.extend(self.telemetry(bytes, part)),
             Some(part) if path.starts_with("_staging/") => {
-                let read = Staged::from_bytes(path, bytes, &self.fingerprint, part);
+                let read = Staged::from_bytes(path, bytes, &self.fingerprint, part, self.same_program);
                 wrong.extend(read.err().map(|e| e.to_string()));
             }
             Some(_) => wrong.extend(self.features(path, bytes, parts)),
@@ -277,27 +350,52 @@ impl Check<'_> {
 pub fn verify(storage: &Storage, said: impl Fn(usize, usize) + Sync) -> Result<Report> {
     let (plan, fingerprint) = plan_of(storage)?;
     let parts = plan.parts();
-    let manifest = Manifest::read(storage)?;
+    let mut findings = Vec::new();
+    let of_manifest = |what: String| Finding {
+        path: MANIFEST.into(),
+        what,
+        parts: Vec::new(),
+        damaged: true,
+    };
+    let manifest = match Manifest::read(storage) {
+        Err(e @ Error::Torn { .. }) => {
+            findings.push(of_manifest(e.to_string()));
+            None
+        }
+        read => read?,
+    };
     let mut notes = Vec::new();
     if fingerprint != plan.fingerprint() {
+        if manifest.as_ref().is_some_and(|m| m.source == SOURCE) {
+            // nothing can be checked by it
+            let what = format!(
+                "changed: it gives fingerprint {}, not the {fingerprint} of its first line",
+                plan.fingerprint()
+            );
+            findings = vec![Finding {
+                path: PLAN.into(),
+                what,
+                parts: Vec::new(),
+                damaged: true,
+            }];
+            return Ok(Report {
+                plan: FleetSummary::of(&plan),
+                finished: true,
+                bytes: 0,
+                files: 0,
+                findings,
+                notes,
+            });
+        }
         notes.push("made by another version of the program: it is checked, but cannot be completed by this one".into());
     }
-    let mut findings = Vec::new();
     let mut jobs: Vec<(Option<&File>, String, Vec<&Part>)> = Vec::new();
     let list = storage.list("")?;
     if let Some(m) = &manifest {
-        let wanted = (plan.runs(), plan.actuators.len() as u64, fingerprint.clone());
-        if (m.runs, m.actuators, m.plan.clone()) != wanted {
-            findings.push(Finding {
-                path: MANIFEST.into(),
-                what: format!(
-                    "{} runs of {} actuators by plan {}, planned {} of {} by {}",
-                    m.runs, m.actuators, m.plan, wanted.0, wanted.1, wanted.2
-                ),
-                parts: Vec::new(),
-                damaged: true,
-            });
-        }
+        let whole = m.source != SOURCE || storage.get(MANIFEST)?.is_some_and(|b| b == m.to_bytes());
+        let wrong = wrong_in(m, &plan, &fingerprint);
+        let other = (!whole).then(|| "changed: not as the merge writes it".to_string());
+        findings.extend(wrong.or(other).map(of_manifest));
         let entry = |path: &str| m.files.iter().find(|f| f.path == path);
         jobs.push((entry(ACTUATORS), ACTUATORS.into(), Vec::new()));
         let mut by_file: BTreeMap<String, Vec<&Part>> = BTreeMap::new();
@@ -309,14 +407,6 @@ pub fn verify(storage: &Storage, said: impl Fn(usize, usize) + Sync) -> Result<R
             if p.telemetry {
                 by_file.insert(plan.telemetry_path(p), vec![p]);
             }
-        }
-        for path in by_file.keys().filter(|p| entry(p).is_none()) {
-            findings.push(Finding {
-                path: MANIFEST.into(),
-                what: format!("does not name {path}"),
-                parts: Vec::new(),
-                damaged: true,
-            });
         }
         jobs.extend(by_file.into_iter().map(|(path, parts)| (entry(&path), path, parts)));
     } else {
@@ -337,6 +427,9 @@ pub fn verify(storage: &Storage, said: impl Fn(usize, usize) + Sync) -> Result<R
                     damaged: false,
                 });
             }
+        }
+        if list.iter().any(|(p, _)| p == ACTUATORS) {
+            jobs.push((None, ACTUATORS.into(), Vec::new()));
         }
         for (path, _) in list.iter().filter(|(p, _)| p.starts_with("features/")) {
             let of = |p: &&Part| features(plan.features_file(p.actuator)) == *path;
@@ -366,6 +459,7 @@ pub fn verify(storage: &Storage, said: impl Fn(usize, usize) + Sync) -> Result<R
     let total = jobs.len();
     let check = Check {
         plan: &plan,
+        same_program: fingerprint == plan.fingerprint(),
         fingerprint,
         storage,
     };
@@ -381,12 +475,7 @@ pub fn verify(storage: &Storage, said: impl Fn(usize, usize) + Sync) -> Result<R
     let bytes = results.iter().map(|r| r.0).sum();
     findings.extend(results.into_iter().filter_map(|r| r.1));
     Ok(Report {
-        plan: FleetSummary {
-            name: plan.name.clone(),
-            actuators: plan.actuators.len(),
-            runs: plan.runs(),
-            parts: parts.len(),
-        },
+        plan: FleetSummary::of(&plan),
         finished: manifest.is_some(),
         bytes,
         files: total,
@@ -409,6 +498,11 @@ pub fn discard(storage: &Storage, report: &Report) -> Result<()> {
     }
     for path in paths.into_iter().filter(|p| *p != MANIFEST) {
         storage.delete(path)?;
+    }
+    // what was staged with damaged telemetry remembers its checksum, right or not
+    let telemetry = |f: &&Finding| f.damaged && f.path.starts_with("telemetry/");
+    for part in report.findings.iter().filter(telemetry).flat_map(|f| &f.parts) {
+        storage.delete(&staged(*part))?;
     }
     Ok(())
 }

@@ -7,7 +7,7 @@ use super::plan::FleetPlan;
 use super::shard::Shard;
 use super::sink::{RunResult, RunSink, Shared, with_sources};
 use super::storage::{Put, Storage};
-use super::tables::{Receipt, Staged, telemetry_pairs};
+use super::tables::{Receipt, Staged, Table, telemetry_pairs};
 use crate::extractor::FeaturePlan;
 use crate::simulate::{Experiment, Run, simulate};
 use crate::worker::Progress;
@@ -36,50 +36,86 @@ pub struct Done {
 /// The dataset of a plan: makes it, or finds that it is there and of the same plan.
 ///
 /// # Errors
-/// A dataset of another plan, with what differs.
+/// A dataset of another plan, with what differs; a folder with something else in it.
 pub fn enter(plan: &FleetPlan, storage: &Storage) -> Result<()> {
     let first = format!("# plan {}", plan.fingerprint());
     let text = format!("{first}\n{}", plan.text);
-    if storage.put_new(PLAN, text.clone())? == Put::Made {
-        let strangers = storage.list("")?;
-        let known = |p: &str| p == PLAN || p.starts_with("_staging/");
-        if let Some((path, _)) = strangers.iter().find(|(p, _)| !known(p)) {
-            // another worker may have begun since
-            let part = ["telemetry/", "features/", "actuators/", MANIFEST];
-            if !part.iter().any(|p| path.starts_with(p)) {
-                storage.delete(PLAN)?;
-                let found = format!("{path} and no {PLAN}");
-                return Err(Error::bad(
-                    storage.describe(),
-                    "dataset",
-                    found,
-                    "nothing, or a dataset of this plan",
-                ));
-            }
+    if storage.put_new(PLAN, text)? == Put::Made {
+        if let Some(path) = stranger(plan, storage)? {
+            storage.delete(PLAN)?;
+            return Err(Error::bad(
+                storage.describe(),
+                "dataset",
+                format!("{path} and no {PLAN}"),
+                "nothing, or a dataset of this plan",
+            ));
         }
         return Ok(());
     }
     let found = storage.get(PLAN)?.unwrap_or_default();
     let found = String::from_utf8_lossy(&found);
-    if found.lines().next() == Some(&first) {
+    let (line, rest) = found.split_once('\n').unwrap_or((&found, ""));
+    if line == first {
         return Ok(());
     }
-    let differs = found
-        .lines()
-        .skip(1)
-        .zip(plan.text.lines())
-        .find(|(a, b)| a != b)
-        .map(|(a, b)| format!("; there it says `{}`, here `{}`", a.trim(), b.trim()));
-    let why = differs.unwrap_or_else(|| "; the same text, but another version of the program or other files".into());
     Err(Error::bad(
         format!("{}/{PLAN}", storage.describe()),
         "fingerprint of the plan",
-        format!(
-            "{}{why}",
-            found.lines().next().unwrap_or_default().trim_start_matches("# plan ")
-        ),
+        format!("{}; {}", line.trim_start_matches("# plan "), differs(rest, &plan.text)),
         format!("{}, or another place for the dataset (--out)", plan.fingerprint()),
     ))
+}
+
+/// An object that is not of a dataset of `plan`. Those of this plan may be there although its text was not:
+/// other workers are quick, and a plan may get lost.
+fn stranger(plan: &FleetPlan, storage: &Storage) -> Result<Option<String>> {
+    let mut tables = Vec::new();
+    for (path, size) in storage.list("")? {
+        let ours = [
+            "telemetry/",
+            "features/",
+            "actuators/",
+            "maps/",
+            "diagnoses/",
+            "_staging/",
+        ];
+        if path != PLAN && path != MANIFEST && !ours.iter().any(|p| path.starts_with(p)) {
+            return Ok(Some(path));
+        }
+        let table = ["telemetry/", "features/", STAGED].iter().any(|p| path.starts_with(p));
+        if table && path.ends_with(".parquet") {
+            tables.push((size, path));
+        }
+    }
+    // the smallest stands for all: they came by one plan
+    let Some((_, path)) = tables.into_iter().min() else {
+        return Ok(None);
+    };
+    let Some(bytes) = storage.get(&path)? else {
+        return Ok(None);
+    };
+    let of = Table::pair_of(&path, bytes, "ema.plan").ok().flatten();
+    Ok((of != Some(plan.fingerprint())).then_some(path))
+}
+
+/// The first thing by which two plans differ, comments, empty lines and order aside.
+fn differs(there: &str, here: &str) -> String {
+    fn lines(text: &str) -> Vec<&str> {
+        let code = |l: &&str| !l.is_empty() && !l.starts_with('#');
+        text.lines().map(str::trim).filter(code).collect()
+    }
+    let (there, here) = (lines(there), lines(here));
+    let only = |a: &[&str], b: &[&str]| a.iter().find(|l| !b.contains(l)).map(|l| clip(l));
+    match (only(&there, &here), only(&here, &there)) {
+        (Some(a), Some(b)) => format!("there it says `{a}`, here `{b}`"),
+        (Some(a), None) => format!("there it says `{a}`, here nothing of it"),
+        (None, Some(b)) => format!("here it says `{b}`, there nothing of it"),
+        (None, None) => "the same text in another order, or another version of the program".into(),
+    }
+}
+
+fn clip(line: &str) -> String {
+    line.chars().filter(|c| !c.is_control()).take(100).collect()
 }
 
 /// Which parts need not be made.
@@ -209,28 +245,38 @@ impl<'a> Bench<'a> {
         Ok(Some(results))
     }
 
-    /// The telemetry file of a part, and the bytes of its staged features.
-    pub fn encode(&self, part: &Part, mut results: Vec<RunResult>) -> Result<(Option<Vec<u8>>, Vec<u8>)> {
+    /// The telemetry file of some runs of a part, and its samples; none where telemetry is not kept.
+    fn telemetry_file(&self, part: &Part, results: Vec<RunResult>) -> Result<Option<(Vec<u8>, u64)>> {
+        let (true, Some(layout)) = (part.telemetry, &self.shared[part.sequence].layout) else {
+            return Ok(None);
+        };
+        let chunks: Vec<_> = results.into_iter().filter_map(|r| r.telemetry).collect();
+        let samples = chunks.iter().map(|c| c.rows).sum();
+        let bytes = layout.file(chunks, telemetry_pairs(self.plan, part, &self.fingerprint))?;
+        Ok(Some((bytes, samples)))
+    }
+
+    /// Bytes that the telemetry of some runs of a part takes.
+    pub fn telemetry_bytes(&self, part: &Part, results: Vec<RunResult>) -> Result<usize> {
+        Ok(self.telemetry_file(part, results)?.map_or(0, |f| f.0.len()))
+    }
+
+    /// The telemetry file of a part, and its staged features.
+    fn encode(&self, part: &Part, mut results: Vec<RunResult>) -> Result<(Option<Vec<u8>>, Vec<u8>)> {
         results.sort_by_key(|r| r.run);
         let rows = results.iter().map(|r| r.features).collect();
-        let mut file = None;
-        let mut receipt = None;
-        if let (true, Some(layout)) = (part.telemetry, &self.shared[part.sequence].layout) {
-            let chunks: Vec<_> = results.into_iter().filter_map(|r| r.telemetry).collect();
-            let samples = chunks.iter().map(|c| c.rows).sum();
-            let bytes = layout.file(chunks, telemetry_pairs(self.plan, part, &self.fingerprint))?;
-            receipt = Some(Receipt {
-                bytes: bytes.len() as u64,
-                blake3: schemas::fingerprint::checksum(&bytes),
-                rows: samples,
-            });
-            file = Some(bytes);
-        }
+        let file = self.telemetry_file(part, results)?;
+        let receipt = file.as_ref().map(|(bytes, samples)| Receipt {
+            bytes: bytes.len() as u64,
+            blake3: schemas::fingerprint::checksum(bytes),
+            rows: *samples,
+        });
         let features = Staged {
             rows,
             telemetry: receipt,
         };
-        Ok((file, features.to_bytes(&staged(part.number), &self.fingerprint, part)?))
+        let staged = features.to_bytes(&staged(part.number), &self.fingerprint, part)?;
+        Ok((file.map(|f| f.0), staged))
     }
 
     /// Stores a part, its staged features last. Returns whether all of it was new, and the bytes.
