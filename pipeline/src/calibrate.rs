@@ -249,19 +249,7 @@ impl Campaign {
         let score = |(u, raw): (&Unit, &RawFeatures)| diagnoser.score(&set.features(raw), u.fault.fsj, u.fault.zeta);
         let tests = self.scores.0.iter().zip(&self.scores.1);
         let scores: Vec<Score> = tests.filter_map(score).collect();
-        let sorted = |f: fn(&Score) -> f64| {
-            let mut v: Vec<f64> = scores.iter().map(f).collect();
-            v.sort_by(f64::total_cmp);
-            v
-        };
-        calibration.misfits = sorted(|s| s.misfit);
-        calibration.deviations = sorted(|s| s.deviation);
-        let (gate, witness_gate) = (calibration.gate(), calibration.witness_gate());
-        for s in &scores {
-            let refused = s.misfit > gate || s.deviation > witness_gate;
-            calibration.scores[s.quadrant].push(if refused { REFUSED_SCORE } else { s.reach });
-        }
-        calibration.scores.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
+        score_all(&mut calibration, &scores);
         Ok(calibration)
     }
 
@@ -282,6 +270,23 @@ impl Campaign {
         let samples: Vec<Sample> = self.surface.0.iter().zip(&self.surface.1).filter_map(sample).collect();
         (!samples.is_empty()).then(|| ResponseSurfaces::fit(Scale { fsj, zeta }, &samples))
     }
+}
+
+/// Fills a calibration with the scores of tests.
+pub fn score_all(calibration: &mut Calibration, scores: &[Score]) {
+    let sorted = |f: fn(&Score) -> f64| {
+        let mut v: Vec<f64> = scores.iter().map(f).collect();
+        v.sort_by(f64::total_cmp);
+        v
+    };
+    calibration.misfits = sorted(|s| s.misfit);
+    calibration.deviations = sorted(|s| s.deviation);
+    let (gate, witness_gate) = (calibration.gate(), calibration.witness_gate());
+    for s in scores {
+        let refused = s.misfit > gate || s.deviation > witness_gate;
+        calibration.scores[s.quadrant].push(if refused { REFUSED_SCORE } else { s.reach });
+    }
+    calibration.scores.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
 }
 
 /// FSJ and zeta that maps reach over.

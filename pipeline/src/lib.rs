@@ -6,6 +6,7 @@ pub mod case;
 pub mod cli;
 pub mod demo;
 pub mod discrepancy;
+pub mod fleet;
 pub mod generate;
 pub mod input;
 pub mod maps;

@@ -286,7 +286,6 @@ pub fn build(
         let allowed = format!("{} x {} grid points, each once", fsj.len(), zeta.len());
         return Err(Error::bad(file, "dataset", found, allowed).into());
     }
-    // raw features of every grid point, and their standard deviations
     let get = |name: &str| -> Result<Vec<Option<f64>>> {
         let all = column(name)?;
         Ok(rows.iter().map(|&i| all[i]).collect())
@@ -296,9 +295,63 @@ pub fn build(
         let row = |i| RawFeatures::from_values(std::array::from_fn(|k| columns[k][i]), Some(rest));
         Ok((0..rows.len()).map(row).collect())
     };
-    let (measured, deviations) = (columns(RawFeatures::COLUMNS)?, columns(RawFeatures::DEVIATIONS)?);
-    let healthy = rows.iter().position(|&i| fsj_all[i] == 1.0 && zeta_all[i] == 0.0);
-    let healthy = healthy.ok_or_else(|| Error::bad(&file, "grid", "no healthy point", "FSJ 1, zeta 0 on the grid"))?;
+    let grid = GridFeatures {
+        measured: columns(RawFeatures::COLUMNS)?,
+        deviations: columns(RawFeatures::DEVIATIONS)?,
+        fsj,
+        zeta,
+    };
+    let header = MapSetHeader {
+        actuator: provenance.actuator,
+        parameters: provenance.parameters,
+        sequence: provenance.sequence,
+        sequence_fingerprint: provenance.sequence_fingerprint,
+        rate_hz: provenance.rate_hz,
+        sensors: provenance.sensors,
+        rest_angle_rad: rest,
+        equivalent_current,
+        grid: provenance.grid,
+        load_n_m: provenance.load_n_m,
+        step_s: provenance.step_s,
+        seed: provenance.seed,
+        commit: provenance.commit,
+        left_out: Vec::new(),
+    };
+    of_grid(&file, header, sequence, &grid, lenient)
+}
+
+/// Raw features of every point of a fault grid, and their standard deviations over noise seeds; zeta
+/// outer, FSJ inner.
+#[derive(Clone, Debug)]
+pub struct GridFeatures {
+    pub fsj: Vec<f64>,
+    pub zeta: Vec<f64>,
+    pub measured: Vec<RawFeatures>,
+    pub deviations: Vec<RawFeatures>,
+}
+
+/// The maps of a grid.
+///
+/// * `file` for messages
+/// * `header` what the maps are for; what is left out is added
+/// * `lenient` as in [`build`]
+pub fn of_grid(
+    file: &str,
+    mut header: MapSetHeader,
+    sequence: &TestSequence,
+    grid: &GridFeatures,
+    lenient: bool,
+) -> Result<FailureMapSet> {
+    let GridFeatures {
+        fsj,
+        zeta,
+        measured,
+        deviations,
+    } = grid;
+    let n = fsj.len();
+    let rows = measured.len();
+    let healthy = (0..rows).find(|i| fsj[i % n] == 1.0 && zeta[i / n] == 0.0);
+    let healthy = healthy.ok_or_else(|| Error::bad(file, "grid", "no healthy point", "FSJ 1, zeta 0 on the grid"))?;
     let nominal = measured[healthy];
     let slope = sequence.segments.iter().find_map(|s| match s.command {
         Command::Ramp { slope_rad_per_s } => Some(slope_rad_per_s.abs()),
@@ -308,7 +361,7 @@ pub fn build(
     let mut left_out = Vec::new();
     for feature in Feature::every() {
         let value = |i: usize| Features::over(&measured[i], &nominal).get(feature);
-        let raw: Vec<Option<f64>> = (0..rows.len()).map(value).collect();
+        let raw: Vec<Option<f64>> = (0..rows).map(value).collect();
         if raw.iter().all(Option::is_none) {
             continue;
         }
@@ -335,18 +388,18 @@ pub fn build(
                 Feature::BiasCurrent => known(s.bias_current_a),
             }
         };
-        let mut noise: Vec<f64> = (0..rows.len()).map(sd).collect();
+        let mut noise: Vec<f64> = (0..rows).map(sd).collect();
         noise.sort_by(f64::total_cmp);
         let noise = noise[(noise.len() - 1) * 19 / 20];
         let sample = match (feature, slope, nominal.p3_rad) {
-            (Feature::P3, Some(a), Some(p0)) => a / provenance.rate_hz / p0,
+            (Feature::P3, Some(a), Some(p0)) => a / header.rate_hz / p0,
             _ => 0.0,
         };
         if Feature::WITNESSES.contains(&feature) {
-            witnesses.extend(FailureMap::of_witness(feature, &fsj, &zeta, raw, noise));
+            witnesses.extend(FailureMap::of_witness(feature, fsj, zeta, raw, noise));
             continue;
         }
-        match declared(&file, feature, &fsj, &zeta, &raw, noise, sample) {
+        match declared(file, feature, fsj, zeta, &raw, noise, sample) {
             Ok(m) => maps.push(m),
             Err(Error::Bad {
                 place, found, allowed, ..
@@ -365,22 +418,7 @@ pub fn build(
         )
         .into());
     }
-    let header = MapSetHeader {
-        actuator: provenance.actuator,
-        parameters: provenance.parameters,
-        sequence: provenance.sequence,
-        sequence_fingerprint: provenance.sequence_fingerprint,
-        rate_hz: provenance.rate_hz,
-        sensors: provenance.sensors,
-        rest_angle_rad: rest,
-        equivalent_current,
-        grid: provenance.grid,
-        load_n_m: provenance.load_n_m,
-        step_s: provenance.step_s,
-        seed: provenance.seed,
-        commit: provenance.commit,
-        left_out,
-    };
+    header.left_out = left_out;
     Ok(FailureMapSet {
         header,
         nominal,

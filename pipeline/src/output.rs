@@ -1,7 +1,8 @@
-//! Telemetry as CSV.
+//! Telemetry as CSV or Parquet.
 
-use schemas::channel::Channel;
+use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result, temporary};
+use schemas::recording::{Provenance, Recorder};
 use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -66,6 +67,49 @@ impl TelemetrySink for CsvWriter {
             Ok(())
         };
         write().map_err(|e| Error::io(&path, "cannot be written", e))
+    }
+}
+
+/// A recording in the format that its file's name asks for.
+pub enum Writer {
+    Csv(CsvWriter),
+    Parquet(Box<Recorder>),
+}
+
+impl Writer {
+    /// * `single` samples as f32 (Parquet): where they come out of a sensor model
+    ///
+    /// # Errors
+    /// A name that ends in neither .csv nor .parquet.
+    pub fn create(path: &Path, provenance: &Provenance, channels: ChannelSet, single: bool) -> Result<Self> {
+        match path.extension().and_then(|x| x.to_str()) {
+            Some("csv") => Ok(Self::Csv(CsvWriter::create(path)?)),
+            Some("parquet") => {
+                let recorder = Recorder::create(path, provenance, channels, single)?;
+                Ok(Self::Parquet(Box::new(recorder)))
+            }
+            _ => {
+                let allowed = "a file name ending in .csv or .parquet";
+                Err(Error::bad("command line", "--out", path.display(), allowed))
+            }
+        }
+    }
+
+    /// Ends the file and gives it its name.
+    pub fn finish(self) -> Result<()> {
+        match self {
+            Self::Csv(w) => w.finish(),
+            Self::Parquet(w) => w.finish(),
+        }
+    }
+}
+
+impl TelemetrySink for Writer {
+    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> Result<()> {
+        match self {
+            Self::Csv(w) => w.accept(header, view),
+            Self::Parquet(w) => w.accept(header, view),
+        }
     }
 }
 

@@ -3,14 +3,16 @@
 mod calibrate;
 mod diagnose;
 mod discrepancy;
+mod fleet;
 mod plot;
+mod query;
 mod run;
 mod simulate;
 mod stream;
 
 use crate::Interrupted;
 use anyhow::Result;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use schemas::error::{EXIT_INTERRUPTED, Error};
 use sim_worker::parameters::ActuatorParameters;
 use std::path::PathBuf;
@@ -86,12 +88,25 @@ enum Commands {
         datasets/benches/README.md."
     )]
     Discrepancy(discrepancy::DiscrepancyArgs),
-    /// SQL over a dataset
+    /// What a fleet plan comes to: runs, bytes and time, measured before anything starts
+    #[command(after_help = "Example: ema plan datasets/fleets/demo.toml")]
+    Plan(fleet::PlanArgs),
+    /// Datasets of whole fleets: make, merge, verify, maps, diagnose, export, copy
     #[command(
-        after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature).\n\
-        Example: ema query \"SELECT zeta, AVG(p2_a) AS p2 FROM features GROUP BY zeta ORDER BY zeta\" --data dataset"
+        subcommand,
+        after_help = "Example: ema dataset make datasets/fleets/demo.toml --out fleet && ema dataset maps fleet && ema dataset \
+        diagnose fleet && ema query --list\nMany machines: sim-worker --help, sim-worker/deploy. A dataset is a folder or \
+        s3://BUCKET/PREFIX (credentials from AWS_* environment variables)."
     )]
-    Query(QueryArgs),
+    Dataset(fleet::DatasetCommand),
+    /// SQL and ready questions over a dataset
+    #[command(
+        after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature); of a fleet also\n\
+        actuators, diagnoses, intervals. Ready questions: ema query --list\n\
+        Example: ema query \"SELECT zeta, AVG(p2_a) AS p2 FROM features GROUP BY zeta ORDER BY zeta\" --data dataset\n\
+        Example: ema query out-of-family --data fleet"
+    )]
+    Query(query::QueryArgs),
 }
 
 #[derive(Args)]
@@ -114,28 +129,6 @@ struct DemoArgs {
     seeds: u64,
     /// A recording to diagnose along with the paper's cases
     file: Option<PathBuf>,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Format {
-    Table,
-    Csv,
-    Json,
-    Parquet,
-}
-
-#[derive(Args)]
-struct QueryArgs {
-    /// One SQL statement (polars SQL)
-    sql: String,
-    /// Dataset folder
-    #[arg(long, default_value = ".")]
-    data: PathBuf,
-    #[arg(long, value_enum, default_value_t = Format::Table)]
-    format: Format,
-    /// File instead of standard output; needed for Parquet
-    #[arg(long)]
-    out: Option<PathBuf>,
 }
 
 /// Which actuator.
@@ -188,7 +181,9 @@ pub fn main() -> ExitCode {
         Commands::Bench(a) => bench(&a),
         Commands::Demo(a) => crate::demo::demo(&a.out, &a.grid, a.seeds, a.file.as_deref()).map(|()| ExitCode::SUCCESS),
         Commands::Discrepancy(a) => discrepancy::discrepancy(&a),
-        Commands::Query(a) => query(&a),
+        Commands::Plan(a) => fleet::plan(&a),
+        Commands::Dataset(a) => fleet::dataset(&a),
+        Commands::Query(a) => query::query(&a),
     };
     result.unwrap_or_else(|e| {
         // a closed pipe (ema ... | head) is not worth a word
@@ -231,29 +226,6 @@ fn bench(a: &BenchArgs) -> Result<ExitCode> {
             s.sm_ns_per_simulated_us,
             s.scalar_ns_per_step / s.sm_ns_per_simulated_us,
         ));
-    }
-    Ok(ExitCode::SUCCESS)
-}
-
-fn query(a: &QueryArgs) -> Result<ExitCode> {
-    let mut frame = crate::query::query(&a.data, &a.sql)?;
-    let text = match a.format {
-        Format::Table => format!("{frame}"),
-        Format::Csv => crate::query::to_csv(&frame)?,
-        Format::Json => crate::query::to_json(&frame)?,
-        Format::Parquet => {
-            let allowed = "--out FILE.parquet";
-            let out = a
-                .out
-                .as_ref()
-                .ok_or_else(|| Error::bad("command line", "--out", "nothing", allowed))?;
-            crate::query::write_parquet(&mut frame, out)?;
-            return Ok(ExitCode::SUCCESS);
-        }
-    };
-    match &a.out {
-        Some(path) => schemas::error::write_whole(path, format!("{}\n", text.trim_end()).as_bytes())?,
-        None => say(&text),
     }
     Ok(ExitCode::SUCCESS)
 }

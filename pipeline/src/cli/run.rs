@@ -2,13 +2,13 @@
 
 use super::ActuatorArg;
 use crate::generate::COMMIT;
-use crate::output::CsvWriter;
+use crate::output::Writer;
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::Error;
 use schemas::fault::FaultState;
-use schemas::recording::{Provenance, Recorder};
+use schemas::recording::Provenance;
 use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
 use sim_worker::monitor::MonitorTrack;
 use sim_worker::simulate::{Experiment, Run, simulate};
@@ -60,20 +60,6 @@ pub struct RunArgs {
     channels: Vec<String>,
     #[command(flatten)]
     actuator: ActuatorArg,
-}
-
-enum Writer {
-    Csv(CsvWriter),
-    Parquet(Box<Recorder>),
-}
-
-impl TelemetrySink for Writer {
-    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> schemas::error::Result<()> {
-        match self {
-            Writer::Csv(w) => w.accept(header, view),
-            Writer::Parquet(w) => w.accept(header, view),
-        }
-    }
 }
 
 /// A finite number from the command line.
@@ -148,19 +134,7 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
             "sm".into()
         },
     };
-    let mut writer = match a.out.extension().and_then(|x| x.to_str()) {
-        Some("csv") => Writer::Csv(CsvWriter::create(&a.out)?),
-        Some("parquet") => Writer::Parquet(Box::new(Recorder::create(
-            &a.out,
-            &provenance,
-            channels,
-            e.sensors.is_some(),
-        )?)),
-        _ => {
-            let found = a.out.display();
-            return Err(Error::bad("command line", "--out", found, "a file name ending in .csv or .parquet").into());
-        }
-    };
+    let mut writer = Writer::create(&a.out, &provenance, channels, e.sensors.is_some())?;
     match a.model {
         Model::Ntb => {
             let lane = Lane {
@@ -203,9 +177,6 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
             writer.accept(&header, &view)?;
         }
     }
-    match writer {
-        Writer::Csv(w) => w.finish()?,
-        Writer::Parquet(w) => w.finish()?,
-    }
+    writer.finish()?;
     Ok(ExitCode::SUCCESS)
 }

@@ -1,0 +1,325 @@
+//! `ema plan` and `ema dataset`.
+
+use super::say;
+use crate::fleet::diagnose::{Diagnosed, by_own_maps, by_type};
+use crate::fleet::estimate::{estimate, to_json, to_text};
+use crate::fleet::{Dataset, copy, export, maps};
+use anyhow::Result;
+use clap::{Args, Subcommand};
+use diagnoser::calibration::COVERAGE;
+use diagnoser::failure_map::FailureMapSet;
+use diagnoser::map_library::Choice;
+use schemas::error::{EXIT_LOSS, Error};
+use serde_json::json;
+use sim_worker::fleet::merge::{Merged, merge};
+use sim_worker::fleet::plan::FleetPlan;
+use sim_worker::fleet::program::{missing, missing_of, summary, work_shown};
+use sim_worker::fleet::shard::Shard;
+use sim_worker::fleet::storage::Storage;
+use sim_worker::fleet::verify::{discard, verify};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+#[derive(Args)]
+pub struct PlanArgs {
+    /// Fleet plan, a TOML file (datasets/fleets)
+    plan: PathBuf,
+    /// Keys for programs
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn plan(a: &PlanArgs) -> Result<ExitCode> {
+    let plan = FleetPlan::read(&a.plan)?;
+    let e = estimate(&plan)?;
+    if a.json {
+        say(&to_json(&plan, &e).to_string());
+    } else {
+        say(&to_text(&plan, &e));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+#[derive(Subcommand)]
+pub enum DatasetCommand {
+    /// Simulate a whole fleet plan on this machine and put the dataset together; resumes where it was interrupted
+    Make(MakeArgs),
+    /// Put together what the shards of a plan have stored
+    Merge(MakeArgs),
+    /// Check a dataset: every run once, checksums, fingerprints, schema, value ranges; says which shards to run again
+    Verify(VerifyArgs),
+    /// Build the failure maps of every actuator, or those of one into a folder for ema diagnose --maps
+    Maps(MapsArgs),
+    /// Diagnose the random tests of every actuator, by its own maps or by those of its type
+    Diagnose(DiagnoseArgs),
+    /// Write the telemetry of one run as a recording, channels that were not stored included
+    Export(ExportArgs),
+    /// Copy a finished dataset, for example from S3 to a folder; resumes
+    Copy(CopyArgs),
+}
+
+#[derive(Args)]
+pub struct MakeArgs {
+    /// Fleet plan, a TOML file
+    plan: PathBuf,
+    /// A folder, or s3://BUCKET/PREFIX; the plan's `out` if left out
+    #[arg(long, env = "EMA_DATASET", value_name = "URL")]
+    out: Option<String>,
+    /// Threads; all cores if left out
+    #[arg(long)]
+    jobs: Option<usize>,
+}
+
+#[derive(Args)]
+pub struct VerifyArgs {
+    /// Dataset: a folder, or s3://BUCKET/PREFIX
+    dataset: String,
+    /// Name shards of this many; parts (the smallest shards) if left out
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    shards: Option<u64>,
+    /// Remove what is damaged, so that the shards named can be run again and merged
+    #[arg(long)]
+    discard: bool,
+    /// Keys for programs
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+pub struct MapsArgs {
+    /// Dataset: a folder, or s3://BUCKET/PREFIX
+    dataset: String,
+    /// Only the maps of this actuator, into --out
+    #[arg(long, value_name = "ID", requires = "out")]
+    actuator: Option<String>,
+    /// Folder for the maps of one actuator
+    #[arg(long, requires = "actuator")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Args)]
+pub struct DiagnoseArgs {
+    /// Dataset: a folder, or s3://BUCKET/PREFIX
+    dataset: String,
+    /// Maps of the type, a file of ema maps, instead of each actuator's own
+    #[arg(long)]
+    maps: Option<PathBuf>,
+    /// Spread that the maps of the type are calibrated for (ema calibrate)
+    #[arg(long, default_value = "fleet", requires = "maps")]
+    spread: String,
+}
+
+#[derive(Args)]
+pub struct ExportArgs {
+    /// Dataset: a folder, or s3://BUCKET/PREFIX
+    dataset: String,
+    /// Number of the run
+    #[arg(long)]
+    run: u64,
+    /// Recording, .parquet or .csv
+    #[arg(long)]
+    out: PathBuf,
+}
+
+#[derive(Args)]
+pub struct CopyArgs {
+    /// Dataset: a folder, or s3://BUCKET/PREFIX
+    from: String,
+    to: String,
+}
+
+pub fn dataset(command: &DatasetCommand) -> Result<ExitCode> {
+    match command {
+        DatasetCommand::Make(a) => make(a, true),
+        DatasetCommand::Merge(a) => make(a, false),
+        DatasetCommand::Verify(a) => check(a),
+        DatasetCommand::Maps(a) => build_maps(a),
+        DatasetCommand::Diagnose(a) => diagnose(a),
+        DatasetCommand::Export(a) => {
+            export::export(&Dataset::open(&a.dataset)?, a.run, &a.out)?;
+            Ok(ExitCode::SUCCESS)
+        }
+        DatasetCommand::Copy(a) => {
+            let c = copy::copy(&Storage::open(&a.from)?, &Storage::open(&a.to)?)?;
+            let there = if c.there > 0 {
+                format!(", {} were there", c.there)
+            } else {
+                String::new()
+            };
+            say(&format!(
+                "{} files, {:.1} MB copied{there}",
+                c.files,
+                c.bytes as f64 / 1e6
+            ));
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+fn make(a: &MakeArgs, work: bool) -> Result<ExitCode> {
+    let plan = FleetPlan::read(&a.plan)?;
+    if let Some(n) = a.jobs {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
+        pool.map_err(|e| Error::bad("command line", "--jobs", n, e.to_string()))?;
+    }
+    let storage = Storage::open(a.out.as_deref().unwrap_or(&plan.out))?;
+    if work {
+        let start = Instant::now();
+        let done = work_shown(&plan, &storage, Shard::WHOLE, "dataset")?.ok_or(crate::Interrupted)?;
+        say(&summary(&done, start.elapsed().as_secs_f64()));
+    }
+    match merge(&plan, &storage, |_, _| ())? {
+        Merged::Whole(m) => {
+            let bytes: u64 = m.files.iter().map(|f| f.bytes).sum();
+            say(&format!(
+                "{}: {} runs of {} actuators in {} files, {:.1} MB",
+                storage.describe(),
+                m.runs,
+                m.actuators,
+                m.files.len(),
+                bytes as f64 / 1e6
+            ));
+            Ok(ExitCode::SUCCESS)
+        }
+        Merged::Missing(parts) => {
+            eprintln!("ema: {}: {}", storage.describe(), missing(&plan, &parts));
+            Ok(ExitCode::from(EXIT_LOSS))
+        }
+    }
+}
+
+fn check(a: &VerifyArgs) -> Result<ExitCode> {
+    let storage = Storage::open(&a.dataset)?;
+    let start = Instant::now();
+    let r = verify(&storage, |_, _| ())?;
+    let parts = r.parts();
+    let shards = (!parts.is_empty()).then(|| missing_of(r.plan.parts, &parts, a.shards.map(|n| n as usize)));
+    if a.discard {
+        discard(&storage, &r)?;
+    }
+    if a.json {
+        let findings: Vec<_> = r
+            .findings
+            .iter()
+            .map(|f| json!({ "path": f.path, "what": f.what, "parts": f.parts, "damaged": f.damaged }))
+            .collect();
+        let v = json!({
+            "whole": r.finished && r.findings.is_empty(),
+            "finished": r.finished,
+            "runs": r.plan.runs,
+            "parts": r.plan.parts,
+            "files": r.files,
+            "bytes": r.bytes,
+            "findings": findings,
+            "run_again": shards,
+            "notes": r.notes,
+        });
+        say(&v.to_string());
+    } else {
+        for n in &r.notes {
+            say(&format!("note: {n}"));
+        }
+        for f in r.findings.iter().take(50) {
+            say(&format!("{}: {}", f.path, f.what));
+        }
+        if r.findings.len() > 50 {
+            say(&format!(
+                "and {} findings more (--json lists all)",
+                r.findings.len() - 50
+            ));
+        }
+        let state = match (r.finished, r.findings.is_empty()) {
+            (true, true) => "whole",
+            (true, false) => "damaged",
+            (false, true) => "not put together yet: sim-worker --merge or ema dataset merge",
+            (false, false) => "not finished",
+        };
+        say(&format!(
+            "{}: {} actuators, {} runs; {} files, {:.1} MB read in {:.1} s: {state}",
+            storage.describe(),
+            r.plan.actuators,
+            r.plan.runs,
+            r.files,
+            r.bytes as f64 / 1e6,
+            start.elapsed().as_secs_f64()
+        ));
+        if let Some(text) = &shards {
+            say(text);
+        }
+        if a.discard && r.findings.iter().any(|f| f.damaged) {
+            say("what was damaged has been removed");
+        } else if r.findings.iter().any(|f| f.damaged) {
+            say("damaged files must go first: ema dataset verify --discard");
+        }
+    }
+    let whole = r.finished && r.findings.is_empty();
+    Ok(if whole {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(EXIT_LOSS)
+    })
+}
+
+fn list(title: &str, lines: &[String]) {
+    for l in lines.iter().take(10) {
+        say(&format!("{title} {l}"));
+    }
+    if lines.len() > 10 {
+        say(&format!("{title} {} more", lines.len() - 10));
+    }
+}
+
+fn build_maps(a: &MapsArgs) -> Result<ExitCode> {
+    let d = Dataset::open(&a.dataset)?;
+    if let Some(out) = &a.out {
+        std::fs::create_dir_all(out).map_err(|e| Error::io(out, "cannot be made", e))?;
+    }
+    let only = a.actuator.as_deref().zip(a.out.as_deref());
+    let made = maps::build(&d, only)?;
+    list("left out", &made.left_out);
+    list("no maps:", &made.refused);
+    let place = a
+        .out
+        .as_ref()
+        .map_or_else(|| d.storage.url(maps::MAPS), |o| o.display().to_string());
+    say(&format!("{} sets of maps in {place}", made.sets));
+    Ok(if made.refused.is_empty() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(EXIT_LOSS)
+    })
+}
+
+fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
+    let d = Dataset::open(&a.dataset)?;
+    let done: Diagnosed = match &a.maps {
+        None => by_own_maps(&d)?,
+        Some(file) => {
+            let choice = Choice {
+                spread: sim_worker::datasets::spread(&a.spread)?,
+                coverage: COVERAGE,
+            };
+            let file = if file.is_dir() {
+                file.join("maps.parquet")
+            } else {
+                file.clone()
+            };
+            by_type(&d, &choice.ready(&file, FailureMapSet::load(&file)?, &Vec::new())?)?
+        }
+    };
+    list("no maps:", &done.refused);
+    if let Some(n) = done.calibrated_with {
+        say(&format!("calibrated with {n} tests of the other half each"));
+    } else if a.maps.is_none() {
+        say("too few tests to calibrate by: intervals reach as far as designed");
+    }
+    say(&format!(
+        "{} tests: {} located, of these {} with the exact pair in both intervals; {}",
+        done.tests,
+        done.located,
+        done.inside,
+        d.storage.url(&done.path)
+    ));
+    Ok(ExitCode::SUCCESS)
+}

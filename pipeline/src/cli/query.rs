@@ -1,0 +1,109 @@
+//! `ema query`.
+
+use super::say;
+use crate::query::{Answer, Question, Table, explain, output, query as sql};
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use schemas::error::Error;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Format {
+    Table,
+    Csv,
+    Json,
+    Parquet,
+}
+
+#[derive(Args)]
+pub struct QueryArgs {
+    /// One SQL statement (polars SQL), or the name of a ready question
+    #[arg(required_unless_present = "list")]
+    ask: Option<String>,
+    /// The ready questions and the tables
+    #[arg(long)]
+    list: bool,
+    /// Dataset folder
+    #[arg(long, default_value = ".")]
+    data: PathBuf,
+    /// Second dataset folder, for questions that compare
+    #[arg(long)]
+    with: Option<PathBuf>,
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    format: Format,
+    /// Rows that a table shows, 0 for all
+    #[arg(long, default_value_t = 200)]
+    rows: usize,
+    /// File instead of standard output; needed for Parquet
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print the optimised plan, what is read from which files, instead of an answer
+    #[arg(long)]
+    explain: bool,
+}
+
+pub fn query(a: &QueryArgs) -> Result<ExitCode> {
+    if a.list {
+        say(&list());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let ask = a.ask.as_deref().unwrap_or_default();
+    let question = Question::from_text(ask)?;
+    if let (None, Some(with)) = (question, &a.with) {
+        let allowed = "only with a ready question that compares";
+        return Err(Error::bad("command line", "--with", with.display(), allowed).into());
+    }
+    if a.explain {
+        say(&match question {
+            Some(q) => q.explain(&a.data, a.with.as_deref())?,
+            None => explain(&a.data, ask)?,
+        });
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut answer = match question {
+        Some(q) => q.ask(&a.data, a.with.as_deref())?,
+        None => Answer {
+            frame: sql(&a.data, ask)?,
+            notes: Vec::new(),
+        },
+    };
+    let text = match a.format {
+        Format::Table => output::to_table(&answer.frame, a.rows),
+        Format::Csv => output::to_csv(&answer.frame)?,
+        Format::Json => output::to_json(&answer.frame)?,
+        Format::Parquet => {
+            let allowed = "--out FILE.parquet";
+            let out = a
+                .out
+                .as_ref()
+                .ok_or_else(|| Error::bad("command line", "--out", "nothing", allowed))?;
+            output::write_parquet(&mut answer.frame, out)?;
+            String::new()
+        }
+    };
+    match &a.out {
+        _ if matches!(a.format, Format::Parquet) => {}
+        Some(path) => schemas::error::write_whole(path, format!("{}\n", text.trim_end()).as_bytes())?,
+        None => say(&text),
+    }
+    // beside the answer, so that a file or pipe holds the table only
+    for note in &answer.notes {
+        crate::progress::note(&format!("note: {note}"));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Name, meaning and tables of every question, and what the tables are.
+fn list() -> String {
+    let mut out = String::new();
+    for q in Question::ALL {
+        let tables: Vec<&str> = q.needs().iter().map(|t| t.name()).collect();
+        out += &format!("{:22} {} [{}]\n", q.name(), q.meaning(), tables.join(", "));
+    }
+    out += "\ntables for SQL:\n";
+    for t in Table::ALL {
+        out += &format!("{:22} {}\n", t.name(), t.meaning());
+    }
+    out
+}

@@ -1,0 +1,71 @@
+//! Copies a finished dataset from one place to another, checking what is read; resumes.
+
+use anyhow::Result;
+use rayon::prelude::*;
+use schemas::error::Error;
+use schemas::fingerprint::checksum;
+use sim_worker::fleet::layout::{MANIFEST, PLAN};
+use sim_worker::fleet::manifest::Manifest;
+use sim_worker::fleet::storage::{Put, Storage};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Files and bytes that were copied, and files that were there.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Copied {
+    pub files: u64,
+    pub bytes: u64,
+    pub there: u64,
+}
+
+/// Copies the files of the manifest, tables made later (maps, diagnoses), and the manifest last.
+///
+/// # Errors
+/// A dataset that is not finished, a file whose checksum is not that of the manifest, another dataset at the
+/// place where it should go.
+pub fn copy(from: &Storage, to: &Storage) -> Result<Copied> {
+    let allowed = "a finished dataset (ema dataset merge)";
+    let unfinished = || Error::bad(from.describe(), MANIFEST, "nothing", allowed);
+    let manifest = Manifest::read(from)?.ok_or_else(unfinished)?;
+    let get = |path: &str| -> Result<_> {
+        let missing = || Error::bad(from.url(path), "file", "nothing", "that of the manifest");
+        Ok(from.get(path)?.ok_or_else(missing)?)
+    };
+    let plan = get(PLAN)?;
+    if to.put_new(PLAN, plan.clone())? == Put::Existed && to.get(PLAN)? != Some(plan) {
+        let allowed = "nothing, or the same dataset";
+        return Err(Error::bad(to.describe(), PLAN, "another plan", allowed).into());
+    }
+    let (bytes, files, there) = (AtomicU64::new(0), AtomicU64::new(0), AtomicU64::new(0));
+    let count = |size: usize| {
+        files.fetch_add(1, Ordering::Relaxed);
+        bytes.fetch_add(size as u64, Ordering::Relaxed);
+    };
+    manifest.files.par_iter().try_for_each(|f| -> Result<()> {
+        if crate::progress::interrupted() {
+            return Err(crate::Interrupted.into());
+        }
+        if to.head(&f.path)? == Some(f.bytes) {
+            there.fetch_add(1, Ordering::Relaxed);
+            return Ok(());
+        }
+        let content = get(&f.path)?;
+        if checksum(&content) != f.blake3 {
+            let allowed = "that of the manifest (ema dataset verify)";
+            return Err(Error::bad(from.url(&f.path), "checksum", "another one", allowed).into());
+        }
+        count(content.len());
+        to.put_new(&f.path, content)?;
+        Ok(())
+    })?;
+    for (path, _) in from.list("maps")?.into_iter().chain(from.list("diagnoses")?) {
+        let content = get(&path)?;
+        count(content.len());
+        to.replace(&path, content)?;
+    }
+    to.put_new(MANIFEST, manifest.to_bytes())?;
+    Ok(Copied {
+        files: files.into_inner(),
+        bytes: bytes.into_inner(),
+        there: there.into_inner(),
+    })
+}

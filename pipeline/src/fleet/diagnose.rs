@@ -1,0 +1,228 @@
+//! Diagnoses of a fleet's random tests: by each actuator's own maps, or by those of the type.
+
+use super::maps::{maps_of, pairs};
+use super::{Dataset, Rows, grids};
+use crate::calibrate::score_all;
+use anyhow::Result;
+use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt64Array};
+use arrow::datatypes::{DataType, Field, Schema};
+use diagnoser::calibration::{COVERAGE, Calibration};
+use diagnoser::diagnosis::{Diagnoser, Diagnosis, Outcome, Score};
+use diagnoser::failure_map::FailureMapSet;
+use schemas::error::Error;
+use schemas::fault::{FaultState, Interval};
+use schemas::feature::{Features, RawFeatures};
+use schemas::recording::table_bytes;
+use sim_worker::fleet::parts::Kind;
+use sim_worker::spread::{Cause, Spread};
+use std::sync::Arc;
+
+/// Fewest tests that a calibration is made from; with fewer, areas reach as far as designed.
+const FEWEST: usize = 50;
+
+/// A test of one actuator.
+struct Test {
+    run: u64,
+    actuator: usize,
+    sequence: usize,
+    fault: FaultState,
+    features: Features,
+}
+
+/// What was diagnosed.
+#[derive(Clone, Debug)]
+pub struct Diagnosed {
+    pub tests: usize,
+    pub located: usize,
+    /// located tests whose exact pair lies in both intervals
+    pub inside: usize,
+    /// tests that each half was calibrated with; none where they were too few, or the maps bring theirs
+    pub calibrated_with: Option<usize>,
+    /// actuators without maps, and why
+    pub refused: Vec<String>,
+    pub path: String,
+}
+
+fn tests<'a>(d: &'a Dataset, set: &'a FailureMapSet, rows: &'a [Rows<'a>]) -> impl Iterator<Item = Test> + 'a {
+    let parts = rows.iter().filter(|r| r.part.kind == Kind::Test);
+    parts.flat_map(move |r| {
+        r.part.runs.clone().zip(&r.values).map(move |(run, v)| {
+            let raw = RawFeatures::from_values(v.map(|x| x.0), Some(set.header.rest_angle_rad));
+            Test {
+                run,
+                actuator: r.part.actuator,
+                sequence: r.part.sequence,
+                fault: d.plan.fault(r.part, run),
+                features: set.features(&raw),
+            }
+        })
+    })
+}
+
+/// A calibration from the scores of tests; none where they are too few.
+fn calibration(scores: &[Score]) -> Option<Calibration> {
+    if scores.len() < FEWEST {
+        return None;
+    }
+    let mut c = Calibration {
+        spread: Spread::none().name,
+        half_width: [0.0; Cause::COUNT],
+        runs: scores.len(),
+        surface_runs: 0,
+        seed: 0,
+        maps: String::new(),
+        commit: crate::generate::COMMIT.into(),
+        scores: Default::default(),
+        misfits: Vec::new(),
+        deviations: Vec::new(),
+        surfaces: None,
+    };
+    score_all(&mut c, scores);
+    Some(c)
+}
+
+/// Each actuator's tests by its own maps. The reach of the intervals comes from tests of the whole fleet: odd
+/// tests are calibrated by even ones and the other way round, so that none is calibrated by itself.
+pub fn by_own_maps(d: &Dataset) -> Result<Diagnosed> {
+    let none = d.plan.tests_per_actuator == 0;
+    if none {
+        let allowed = "[tests] per_actuator of at least 1 in the plan";
+        return Err(Error::bad(d.storage.describe(), "runs", "no tests", allowed).into());
+    }
+    let mut all: Vec<(usize, Test)> = Vec::new();
+    let mut sets: Vec<FailureMapSet> = Vec::new();
+    let mut refused = Vec::new();
+    d.each_actuator(|actuator, rows| {
+        // tests are of the first sequence, from the first rest angle
+        let Some((sequence, rest, values)) = grids(rows).into_iter().next() else {
+            return Ok(());
+        };
+        match maps_of(d, actuator, sequence, rest, &values) {
+            Ok(set) => {
+                all.extend(tests(d, &set, rows).map(|t| (sets.len(), t)));
+                sets.push(set);
+            }
+            Err(e) => refused.push(e.to_string()),
+        }
+        Ok(())
+    })?;
+    let mut halves: [Vec<Score>; 2] = Default::default();
+    for (k, set) in sets.iter().enumerate() {
+        let bare = Diagnoser::uncalibrated(set.clone());
+        let own = all.iter().filter(|(s, _)| *s == k).enumerate();
+        for (i, (_, t)) in own {
+            halves[i % 2].extend(bare.score(&t.features, t.fault.fsj, t.fault.zeta));
+        }
+    }
+    let calibrations = halves.each_ref().map(|scores| calibration(scores));
+    let mut results = Vec::new();
+    for (k, set) in sets.into_iter().enumerate() {
+        let diagnosers = [0, 1]
+            .map(|half: usize| Diagnoser::new(set.clone(), calibrations[1 - half].clone(), COVERAGE, &Vec::new()));
+        let [even, odd] = diagnosers;
+        let diagnosers = [even?, odd?];
+        let own = all.iter().filter(|(s, _)| *s == k).enumerate();
+        results.extend(own.map(|(i, (_, t))| (t, diagnosers[i % 2].diagnose(&t.features, &[]))));
+    }
+    let with = calibrations.each_ref().map(|c| c.as_ref().map(|c| c.runs));
+    let with = with[0].zip(with[1]).map(|(a, b)| a.min(b));
+    write(d, "own", &results, with.is_some(), with, refused)
+}
+
+/// All tests by the maps of the type, which bring their own calibration.
+pub fn by_type(d: &Dataset, diagnoser: &Diagnoser) -> Result<Diagnosed> {
+    let mut all = Vec::new();
+    d.each_actuator(|_, rows| {
+        all.extend(tests(d, &diagnoser.maps, rows));
+        Ok(())
+    })?;
+    let results: Vec<(&Test, Diagnosis)> = all.iter().map(|t| (t, diagnoser.diagnose(&t.features, &[]))).collect();
+    let calibrated = diagnoser.calibration.is_some();
+    write(d, "type", &results, calibrated, None, Vec::new())
+}
+
+fn write(
+    d: &Dataset,
+    maps: &str,
+    results: &[(&Test, Diagnosis)],
+    calibrated: bool,
+    calibrated_with: Option<usize>,
+    refused: Vec<String>,
+) -> Result<Diagnosed> {
+    let text = |f: &dyn Fn(&Test, &Diagnosis) -> String| -> ArrayRef {
+        Arc::new(StringArray::from_iter_values(results.iter().map(|(t, r)| f(t, r))))
+    };
+    let number = |f: &dyn Fn(&Test, &Diagnosis) -> Option<f64>| -> ArrayRef {
+        Arc::new(results.iter().map(|(t, r)| f(t, r)).collect::<Float64Array>())
+    };
+    let hull = |f: &dyn Fn(&diagnoser::diagnosis::Area) -> f64| number(&|_, r| r.outcome.area().map(f));
+    let contradicting = |r: &Diagnosis| match &r.outcome {
+        Outcome::Unexplained { contradicting, .. } => {
+            contradicting.iter().map(|f| f.name()).collect::<Vec<_>>().join(",")
+        }
+        _ => String::new(),
+    };
+    let actuator = |t: &Test| &d.plan.actuators[t.actuator];
+    let list: Vec<(&str, DataType, bool, ArrayRef)> = vec![
+        (
+            "run",
+            DataType::UInt64,
+            false,
+            Arc::new(UInt64Array::from_iter_values(results.iter().map(|(t, _)| t.run))),
+        ),
+        ("actuator", DataType::Utf8, false, text(&|t, _| actuator(t).id.clone())),
+        ("tail", DataType::Utf8, false, text(&|t, _| actuator(t).tail.clone())),
+        (
+            "position",
+            DataType::Utf8,
+            false,
+            text(&|t, _| actuator(t).position.clone()),
+        ),
+        (
+            "sequence",
+            DataType::Utf8,
+            false,
+            text(&|t, _| d.plan.sequences[t.sequence].name.clone()),
+        ),
+        ("fsj", DataType::Float64, true, number(&|t, _| Some(t.fault.fsj))),
+        ("zeta", DataType::Float64, true, number(&|t, _| Some(t.fault.zeta))),
+        ("outcome", DataType::Utf8, false, text(&|_, r| r.outcome.name().into())),
+        ("fsj_lo", DataType::Float64, true, hull(&|a| a.fsj.lo)),
+        ("fsj_hi", DataType::Float64, true, hull(&|a| a.fsj.hi)),
+        ("fsj_estimate", DataType::Float64, true, hull(&|a| a.centroid.0)),
+        ("zeta_lo", DataType::Float64, true, hull(&|a| a.zeta.lo)),
+        ("zeta_hi", DataType::Float64, true, hull(&|a| a.zeta.hi)),
+        ("zeta_estimate", DataType::Float64, true, hull(&|a| a.centroid.1)),
+        ("area", DataType::Float64, true, hull(&|a| a.size)),
+        (
+            "coverage",
+            DataType::Float64,
+            true,
+            number(&|_, r| calibrated.then_some(r.coverage)),
+        ),
+        ("contradicting", DataType::Utf8, false, text(&|_, r| contradicting(r))),
+        ("reason", DataType::Utf8, false, text(&|_, r| r.outcome.reason().into())),
+        ("maps", DataType::Utf8, false, text(&|_, _| maps.into())),
+    ];
+    let fields: Vec<Field> = list
+        .iter()
+        .map(|(n, t, null, _)| Field::new(*n, t.clone(), *null))
+        .collect();
+    let columns = list.into_iter().map(|c| c.3).collect();
+    let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), columns)?;
+    let path = format!("diagnoses/part-{maps}.parquet");
+    d.storage.replace(&path, table_bytes(&[batch], pairs(d))?)?;
+    let located = results.iter().filter(|(_, r)| matches!(r.outcome, Outcome::Located(_)));
+    let holds = |t: &Test, fsj: Interval, zeta: Interval| fsj.contains(t.fault.fsj) && zeta.contains(t.fault.zeta);
+    let inside = located
+        .clone()
+        .filter(|(t, r)| r.outcome.area().is_some_and(|a| holds(t, a.fsj, a.zeta)));
+    Ok(Diagnosed {
+        tests: results.len(),
+        located: located.clone().count(),
+        inside: inside.count(),
+        calibrated_with,
+        refused,
+        path,
+    })
+}

@@ -1,0 +1,95 @@
+//! SQL and ready questions over a dataset folder.
+//!
+//! Tables are lazy scans of Parquet files: filters and column choices of a statement reach the files, so
+//! that only the folders, row groups and columns that are needed are read. Questions read their columns
+//! the same way and do their statistics here, on dense group numbers: medians over a fleet need grouped
+//! values more than they need a query engine.
+
+pub mod fleet;
+pub mod output;
+pub mod questions;
+pub mod stats;
+pub mod tables;
+#[cfg(test)]
+mod tests;
+
+pub use questions::Question;
+pub use tables::Table;
+
+use anyhow::Result;
+use polars::prelude::*;
+use polars::sql::SQLContext;
+use schemas::error::Error;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+/// A table, and what to know beside it.
+#[derive(Debug)]
+pub struct Answer {
+    pub frame: DataFrame,
+    /// One line each: what was left out, and which limits hold.
+    pub notes: Vec<String>,
+}
+
+/// The statement as a lazy table.
+fn plan(dir: &Path, sql: &str) -> Result<LazyFrame> {
+    let mut context = SQLContext::new();
+    let lower = sql.to_lowercase();
+    let mut missing = Vec::new();
+    for table in Table::ALL {
+        // a table that the statement does not name costs nothing
+        if !table.there(dir) {
+            missing.push(table);
+        } else if lower.contains(table.name()) {
+            context.register(table.name(), table.scan(dir)?);
+        }
+    }
+    if missing.len() == Table::ALL.len() {
+        let allowed = "a dataset folder (ema simulate, ema dataset make)";
+        return Err(Error::bad(dir.display().to_string(), "folder", "none of its tables", allowed).into());
+    }
+    Ok(context.execute(sql).map_err(|e| {
+        let why = one_line(&e);
+        let quoted = |t: &&Table| why.contains(&format!("'{}'", t.name()));
+        match missing.iter().find(quoted) {
+            Some(table) => table.missing(dir),
+            None => bad_sql(why),
+        }
+    })?)
+}
+
+/// Runs one SQL statement over the dataset in `dir`.
+///
+/// # Errors
+/// No tables in the folder, a table or column that is not there, SQL that is none, a torn file.
+pub fn query(dir: &Path, sql: &str) -> Result<DataFrame> {
+    let frame = plan(dir, sql)?;
+    run(frame).map_err(|why| bad_sql(why).into())
+}
+
+/// The plan of a statement after optimisation: what is read from which files.
+pub fn explain(dir: &Path, sql: &str) -> Result<String> {
+    let frame = plan(dir, sql)?;
+    Ok(guarded(|| frame.explain(true)).map_err(bad_sql)?)
+}
+
+fn bad_sql(why: String) -> Error {
+    Error::bad("query", "SQL", why, "see ema query --help")
+}
+
+/// Runs a lazy table through the streaming engine. The error is one line.
+pub(crate) fn run(frame: LazyFrame) -> Result<DataFrame, String> {
+    guarded(|| frame.collect_with_engine(Engine::Streaming).map(|f| f.unwrap_single()))
+}
+
+/// Some broken Parquet files make the reader panic instead of saying so.
+fn guarded<T>(work: impl FnOnce() -> PolarsResult<T>) -> Result<T, String> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(result) => result.map_err(|e| one_line(&e)),
+        Err(_) => Err("a file that cannot be read".into()),
+    }
+}
+
+pub(crate) fn one_line(e: &PolarsError) -> String {
+    e.to_string().lines().next().unwrap_or_default().to_string()
+}
