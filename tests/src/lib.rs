@@ -3,6 +3,9 @@
 pub mod blind;
 pub mod campaign;
 pub mod coverage;
+pub mod fleet;
+pub mod s3;
+pub mod slurm;
 pub mod soak;
 pub mod stream;
 

@@ -196,7 +196,9 @@ def draw_diagnoses(axes, fault, name):
         axes.text(0.02, height, label, transform=axes.transAxes, color=ink if ink != "#A3ADB8" else GREY, va="top", fontweight="bold", fontsize=9)
         height -= 0.062
     axes.set_title(f"Diagnosed {name}: interval and estimate", loc="left", fontweight="bold", fontsize=11, pad=22)
-    axes.text(0, 1.03, f"{held} of {len(diagnoses)} intervals ({100 * held / len(diagnoses):.1f} %) hold the exact value; asked for are {100 * diagnoses['coverage'][0]:.0f} %",
+    wanted = diagnoses["coverage"][0]
+    wanted = "not calibrated" if wanted is None else f"asked for are {100 * wanted:.0f} %"
+    axes.text(0, 1.03, f"{held} of {len(diagnoses)} intervals ({100 * held / len(diagnoses):.1f} %) hold the exact value; {wanted}",
               transform=axes.transAxes, color=GREY)
     axes.set_xlabel(f"exact {name}")
     axes.set_ylabel(f"diagnosed {name}")
