@@ -75,6 +75,8 @@ impl TelemetryLayout {
                 .set_column_dictionary_enabled(column.clone(), false)
                 .set_column_encoding(column, plain);
         }
+        // nobody looks for it by range
+        b = b.set_column_statistics_enabled(ColumnPath::from("rest_angle_rad"), EnabledStatistics::None);
         // differences that are all the same need no further compression
         for name in ["run", "t_ns"] {
             b = b.set_column_compression(ColumnPath::from(name), Compression::UNCOMPRESSED);
@@ -91,9 +93,11 @@ impl TelemetryLayout {
     ///
     /// * `constants` FSJ, zeta, rest angle [rad]
     pub fn encoder(&self, run: u64, constants: [f64; 3]) -> Result<RunEncoder> {
+        let mut arrays: Vec<ArrayRef> = vec![Arc::new(UInt64Array::from(vec![run; ROWS]))];
+        arrays.extend(constants.map(|x| -> ArrayRef { Arc::new(Float64Array::from(vec![x; ROWS])) }));
         Ok(RunEncoder {
             run,
-            constants,
+            constants: arrays,
             schema: self.schema.clone(),
             columns: self.factory.create_column_writers(0).map_err(unforeseen)?,
             channels: self.channels.clone(),
@@ -134,7 +138,8 @@ enum Waiting {
 /// Encodes one run as it comes.
 pub struct RunEncoder {
     run: u64,
-    constants: [f64; 3],
+    /// run, FSJ, zeta, rest angle, [`ROWS`] times
+    constants: Vec<ArrayRef>,
     schema: Arc<Schema>,
     columns: Vec<ArrowColumnWriter>,
     channels: Vec<Channel>,
@@ -157,6 +162,11 @@ impl RunEncoder {
     /// # Errors
     /// A view without one of the channels.
     pub fn push(&mut self, view: &TelemetryView<'_>) -> Result<()> {
+        let room = ROWS - self.time.len();
+        if view.rows > room {
+            self.push(&view.slice(0, room))?;
+            return self.push(&view.slice(room, view.rows));
+        }
         for (k, &c) in self.channels.iter().enumerate() {
             let values = view.column(c).ok_or_else(|| {
                 let why = format!("a block without channel {}", c.name());
@@ -185,10 +195,7 @@ impl RunEncoder {
             return Ok(());
         }
         let time = std::mem::replace(&mut self.time, Vec::with_capacity(ROWS));
-        let mut arrays: Vec<ArrayRef> = vec![Arc::new(UInt64Array::from(vec![self.run; n]))];
-        for x in self.constants {
-            arrays.push(Arc::new(Float64Array::from(vec![x; n])));
-        }
+        let mut arrays: Vec<ArrayRef> = self.constants.iter().map(|a| a.slice(0, n)).collect();
         arrays.push(Arc::new(Int64Array::from(time)));
         match &mut self.waiting {
             Waiting::Single(w) => {

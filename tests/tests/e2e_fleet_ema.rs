@@ -255,6 +255,8 @@ fn e2e_a_dataset_is_copied_to_s3_and_checked_there() {
     };
     there(&["dataset", "copy", text(&made.data), &url]);
     assert!(there(&["dataset", "verify", &url]).contains("whole"));
+    let asked = |place: &str| there(&["query", "coverage", "--data", place, "--format", "csv"]);
+    assert_eq!(asked(&url), asked(text(&made.data)));
     let back = tempfile::tempdir().unwrap();
     there(&["dataset", "copy", &url, text(back.path())]);
     same(&files(back.path()), &files(&made.data));

@@ -13,7 +13,7 @@ use schemas::error::{EXIT_LOSS, Error};
 use serde_json::json;
 use sim_worker::fleet::merge::{Merged, merge};
 use sim_worker::fleet::plan::FleetPlan;
-use sim_worker::fleet::program::{missing, missing_of, summary, work_shown};
+use sim_worker::fleet::program::{end_when_interrupted, missing, missing_of, summary, work_shown};
 use sim_worker::fleet::shard::Shard;
 use sim_worker::fleet::storage::Storage;
 use sim_worker::fleet::verify::{discard, verify};
@@ -130,6 +130,7 @@ pub struct CopyArgs {
 }
 
 pub fn dataset(command: &DatasetCommand) -> Result<ExitCode> {
+    end_when_interrupted("ema");
     match command {
         DatasetCommand::Make(a) => make(a, true),
         DatasetCommand::Merge(a) => make(a, false),

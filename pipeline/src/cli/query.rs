@@ -1,11 +1,14 @@
 //! `ema query`.
 
 use super::say;
+use crate::fleet::copy::mirror;
+use crate::maps::cache_dir;
 use crate::query::{Answer, Question, Table, explain, output, query as sql};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use schemas::error::Error;
-use std::path::PathBuf;
+use sim_worker::fleet::storage::Storage;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -24,10 +27,10 @@ pub struct QueryArgs {
     /// The ready questions and the tables
     #[arg(long)]
     list: bool,
-    /// Dataset folder
+    /// Dataset: a folder, or s3://BUCKET/PREFIX (its tables are fetched into the cache; telemetry is not)
     #[arg(long, default_value = ".")]
     data: PathBuf,
-    /// Second dataset folder, for questions that compare
+    /// Second dataset, for questions that compare
     #[arg(long)]
     with: Option<PathBuf>,
     #[arg(long, value_enum, default_value_t = Format::Table)]
@@ -43,28 +46,38 @@ pub struct QueryArgs {
     explain: bool,
 }
 
+/// The folder that a query reads: a dataset in a bucket is mirrored first.
+fn folder(place: &Path) -> Result<PathBuf> {
+    match place.to_str().filter(|t| t.contains("://")) {
+        Some(url) => mirror(&Storage::open(url)?, &cache_dir()),
+        None => Ok(place.to_path_buf()),
+    }
+}
+
 pub fn query(a: &QueryArgs) -> Result<ExitCode> {
     if a.list {
         say(&list());
         return Ok(ExitCode::SUCCESS);
     }
+    let data = folder(&a.data)?;
+    let with = a.with.as_deref().map(folder).transpose()?;
     let ask = a.ask.as_deref().unwrap_or_default();
     let question = Question::from_text(ask)?;
-    if let (None, Some(with)) = (question, &a.with) {
+    if let (None, Some(with)) = (question, &with) {
         let allowed = "only with a ready question that compares";
         return Err(Error::bad("command line", "--with", with.display(), allowed).into());
     }
     if a.explain {
         say(&match question {
-            Some(q) => q.explain(&a.data, a.with.as_deref())?,
-            None => explain(&a.data, ask)?,
+            Some(q) => q.explain(&data, with.as_deref())?,
+            None => explain(&data, ask)?,
         });
         return Ok(ExitCode::SUCCESS);
     }
     let mut answer = match question {
-        Some(q) => q.ask(&a.data, a.with.as_deref())?,
+        Some(q) => q.ask(&data, with.as_deref())?,
         None => Answer {
-            frame: sql(&a.data, ask)?,
+            frame: sql(&data, ask)?,
             notes: Vec::new(),
         },
     };

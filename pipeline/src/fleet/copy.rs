@@ -1,12 +1,15 @@
-//! Copies a finished dataset from one place to another, checking what is read; resumes.
+//! Copies a finished dataset from one place to another, checking what is read; resumes. And mirrors the tables of
+//! one in a bucket, for queries.
 
 use anyhow::Result;
+use bytes::Bytes;
 use rayon::prelude::*;
 use schemas::error::Error;
-use schemas::fingerprint::checksum;
+use schemas::fingerprint::{checksum, fingerprint_bytes};
 use sim_worker::fleet::layout::{MANIFEST, PLAN};
-use sim_worker::fleet::manifest::Manifest;
+use sim_worker::fleet::manifest::{File, Manifest};
 use sim_worker::fleet::storage::{Put, Storage};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Files and bytes that were copied, and files that were there.
@@ -26,11 +29,7 @@ pub fn copy(from: &Storage, to: &Storage) -> Result<Copied> {
     let allowed = "a finished dataset (ema dataset merge)";
     let unfinished = || Error::bad(from.describe(), MANIFEST, "nothing", allowed);
     let manifest = Manifest::read(from)?.ok_or_else(unfinished)?;
-    let get = |path: &str| -> Result<_> {
-        let missing = || Error::bad(from.url(path), "file", "nothing", "that of the manifest");
-        Ok(from.get(path)?.ok_or_else(missing)?)
-    };
-    let plan = get(PLAN)?;
+    let plan = get(from, PLAN)?;
     if to.put_new(PLAN, plan.clone())? == Put::Existed && to.get(PLAN)? != Some(plan) {
         let allowed = "nothing, or the same dataset";
         return Err(Error::bad(to.describe(), PLAN, "another plan", allowed).into());
@@ -48,17 +47,13 @@ pub fn copy(from: &Storage, to: &Storage) -> Result<Copied> {
             there.fetch_add(1, Ordering::Relaxed);
             return Ok(());
         }
-        let content = get(&f.path)?;
-        if checksum(&content) != f.blake3 {
-            let allowed = "that of the manifest (ema dataset verify)";
-            return Err(Error::bad(from.url(&f.path), "checksum", "another one", allowed).into());
-        }
+        let content = checked(from, f)?;
         count(content.len());
         to.put_new(&f.path, content)?;
         Ok(())
     })?;
     for (path, _) in from.list("maps")?.into_iter().chain(from.list("diagnoses")?) {
-        let content = get(&path)?;
+        let content = get(from, &path)?;
         count(content.len());
         to.replace(&path, content)?;
     }
@@ -68,4 +63,44 @@ pub fn copy(from: &Storage, to: &Storage) -> Result<Copied> {
         bytes: bytes.into_inner(),
         there: there.into_inner(),
     })
+}
+
+/// The tables of a dataset in a bucket as a folder that queries read, telemetry left out. What the manifest
+/// names is fetched once; maps and diagnoses, which may be made anew, each time.
+///
+/// * `cache` folder for such copies
+///
+/// # Errors
+/// A dataset that is not finished; storage that refuses.
+pub fn mirror(from: &Storage, cache: &Path) -> Result<PathBuf> {
+    let allowed = "a finished dataset (ema dataset merge)";
+    let unfinished = || Error::bad(from.describe(), MANIFEST, "nothing", allowed);
+    let manifest = Manifest::read(from)?.ok_or_else(unfinished)?;
+    let key = fingerprint_bytes(&[from.describe().as_bytes(), &manifest.to_bytes()].concat());
+    let dir = cache.join("datasets").join(key);
+    let to = Storage::open(&dir.display().to_string())?;
+    for f in manifest.files.iter().filter(|f| !f.path.starts_with("telemetry/")) {
+        if to.head(&f.path)? != Some(f.bytes) {
+            to.replace(&f.path, checked(from, f)?)?;
+        }
+    }
+    for (path, _) in from.list("maps")?.into_iter().chain(from.list("diagnoses")?) {
+        to.replace(&path, get(from, &path)?)?;
+    }
+    Ok(dir)
+}
+
+fn get(from: &Storage, path: &str) -> Result<Bytes> {
+    let missing = || Error::bad(from.url(path), "file", "nothing", "that of the manifest");
+    Ok(from.get(path)?.ok_or_else(missing)?)
+}
+
+/// A file of the manifest, with the checksum that it says.
+fn checked(from: &Storage, file: &File) -> Result<Bytes> {
+    let content = get(from, &file.path)?;
+    if checksum(&content) != file.blake3 {
+        let allowed = "that of the manifest (ema dataset verify)";
+        return Err(Error::bad(from.url(&file.path), "checksum", "another one", allowed).into());
+    }
+    Ok(content)
 }

@@ -30,7 +30,7 @@ Exit codes: 0 done | 1 unforeseen failure, for example a full disk or a network 
 | 3 not finished: parts are missing, which shards to run is said | 4 bad input: one line says file, place, value found and what is allowed \
 | 130 interrupted (Ctrl-C, SIGTERM); what is done is kept";
 
-const INTERRUPTED: &str = "sim-worker: interrupted; what is done is kept, the same command goes on from there";
+const INTERRUPTED: &str = "interrupted; what is done is kept, the same command goes on from there";
 
 /// More threads than this are a slip of the hand, and would bring the machine down.
 const MOST_JOBS: u64 = 4096;
@@ -190,7 +190,7 @@ fn run(p: &Program) -> Result<ExitCode> {
             Ok(ExitCode::SUCCESS)
         }
         None => {
-            eprintln!("{INTERRUPTED}");
+            eprintln!("sim-worker: {INTERRUPTED}");
             Ok(ExitCode::from(EXIT_INTERRUPTED))
         }
     }
@@ -198,13 +198,15 @@ fn run(p: &Program) -> Result<ExitCode> {
 
 /// Ends a program that was asked to stop and does not, as it waits for a network or puts a dataset together.
 /// That does no harm: it might as well have been killed.
-fn end_when_interrupted() {
-    std::thread::spawn(|| {
+///
+/// * `program` its name, for the message
+pub fn end_when_interrupted(program: &'static str) {
+    std::thread::spawn(move || {
         while !interrupted() {
             std::thread::sleep(Duration::from_millis(50));
         }
         std::thread::sleep(GRACE);
-        eprintln!("{INTERRUPTED}");
+        eprintln!("{program}: {INTERRUPTED}");
         std::process::exit(i32::from(EXIT_INTERRUPTED));
     });
 }
@@ -213,7 +215,7 @@ fn end_when_interrupted() {
 pub fn main() -> ExitCode {
     let program = Program::parse();
     catch_interrupts();
-    end_when_interrupted();
+    end_when_interrupted("sim-worker");
     run(&program).unwrap_or_else(|e| {
         eprintln!("sim-worker: {}", e.to_string().replace('\n', " "));
         ExitCode::from(e.exit_code())
