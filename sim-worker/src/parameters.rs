@@ -281,32 +281,14 @@ impl ActuatorParameters {
     /// Of every value, not of the name; an actuator without effects has the one that it had before
     /// effects were known.
     pub fn fingerprint(&self) -> String {
-        let values = [
-            self.supply_voltage_v,
-            self.phase_resistance_ohm,
-            self.phase_inductance_h,
-            self.back_emf_v_s_per_rad,
-            self.pole_pairs as f64,
-            self.inertia_kg_m2,
-            self.viscous_n_m_s_per_rad,
-            self.torque_limit_n_m,
-            self.static_friction_n_m,
-            self.dynamic_friction_ratio,
-            self.gear_ratio,
-            self.backlash_half_width_rad,
-            self.end_stop_rad,
-            self.opposing_efficiency,
-            self.aiding_efficiency,
-            self.position_gain_per_s,
-            self.speed_reference_limit_rad_per_s,
-            self.speed_proportional_n_m_s_per_rad,
-            self.speed_integral_n_m_per_rad,
-            self.integrator_limit_n_m,
-            self.current_limit_a,
-            self.hysteresis_half_band_a,
-            self.step_s,
-        ];
-        let mut text = format!("actuator;{}", values.map(exact).join(","));
+        let all = self.values();
+        // pole pairs after ke, the step at the end; the temperature only where effects know it
+        let (motor, rest) = all[..PARAMETERS.len() - 1].split_at(4);
+        let values = [motor, &[f64::from(self.pole_pairs)], rest, &[self.step_s]].concat();
+        let mut text = format!(
+            "actuator;{}",
+            values.into_iter().map(exact).collect::<Vec<_>>().join(",")
+        );
         if !self.effects.is_empty() {
             text += &format!(";temperature,{}", exact(self.temperature_degc));
         }

@@ -89,21 +89,7 @@ pub fn score(class: Class, said: &Said, hidden: &[Hidden]) -> Score {
     }
 }
 
-/// Two-sided 95 % of a normal distribution.
-const NORMAL_95: f64 = 1.959_964;
-
-/// Wilson's 95 % interval of a rate of `k` in `n`; all of 0 to 1 where there is nothing.
-pub fn wilson(k: usize, n: usize) -> (f64, f64) {
-    if n == 0 {
-        return (0.0, 1.0);
-    }
-    let (k, n, z2) = (k as f64, n as f64, NORMAL_95 * NORMAL_95);
-    let p = k / n;
-    let middle = p + z2 / (2.0 * n);
-    let half = NORMAL_95 * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
-    let whole = 1.0 + z2 / n;
-    (((middle - half) / whole).max(0.0), ((middle + half) / whole).min(1.0))
-}
+pub use pipeline::query::stats::wilson;
 
 #[cfg(test)]
 mod tests {
