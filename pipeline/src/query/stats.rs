@@ -91,7 +91,11 @@ pub fn wilson(k: usize, n: usize) -> (f64, f64) {
     let middle = p + z2 / (2.0 * n);
     let half = NORMAL_95 * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
     let whole = 1.0 + z2 / n;
-    (((middle - half) / whole).max(0.0), ((middle + half) / whole).min(1.0))
+    // rounding must not take the share itself out
+    (
+        ((middle - half) / whole).clamp(0.0, p),
+        ((middle + half) / whole).clamp(p, 1.0),
+    )
 }
 
 /// Number beyond which a standard normal value lies with probability `p` (upper tail, 1e-15 to 0.5).
