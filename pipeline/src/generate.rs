@@ -86,13 +86,12 @@ impl Plan {
     }
 
     pub fn provenance(&self) -> Provenance {
-        let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
         Provenance {
             actuator: self.actuator.name.clone(),
             parameters: self.actuator.fingerprint(),
             sequence: self.experiment.sequence.name.clone(),
             sequence_fingerprint: self.experiment.sequence.fingerprint(),
-            grid: fingerprint(&format!("grid;{};{}", list(&self.grid.fsj), list(&self.grid.zeta))),
+            grid: self.grid.fingerprint(),
             sensors: self.experiment.sensor_fingerprint(),
             effects: String::new(),
             rate_hz: self.experiment.rate_hz,

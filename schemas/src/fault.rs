@@ -1,5 +1,7 @@
 //! Faults, their grid, and intervals of them.
 
+use crate::fingerprint::{exact, fingerprint};
+
 /// A pair of faults: friction multiplier FSJ and static eccentricity zeta (paper 2.1, 2.2, 4).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FaultState {
@@ -47,6 +49,12 @@ impl FaultGrid {
         (0..points)
             .map(|i| ((from + i as f64 * step) * 1e12).round() / 1e12)
             .collect()
+    }
+
+    /// Of the values, not of the name.
+    pub fn fingerprint(&self) -> String {
+        let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
+        fingerprint(&format!("grid;{};{}", list(&self.fsj), list(&self.zeta)))
     }
 
     /// Points in storage order: zeta outer, FSJ inner.

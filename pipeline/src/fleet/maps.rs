@@ -8,7 +8,6 @@ use arrow::datatypes::{DataType, Field, Schema};
 use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
 use schemas::error::Error;
 use schemas::feature::RawFeatures;
-use schemas::fingerprint::{exact, fingerprint};
 use schemas::recording::table_bytes;
 use sim_worker::fleet::plan::SOURCE;
 use sim_worker::noise::FeatureValues;
@@ -27,7 +26,6 @@ pub fn maps_of(
     values: &[FeatureValues],
 ) -> Result<FailureMapSet> {
     let plan = &d.plan;
-    let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
     let (a, q) = (&plan.actuators[actuator], &plan.sequences[sequence]);
     let header = MapSetHeader {
         actuator: a.id.clone(),
@@ -38,7 +36,7 @@ pub fn maps_of(
         sensors: plan.sensor_fingerprint(),
         rest_angle_rad: plan.rest_angles_rad[rest],
         equivalent_current: false,
-        grid: fingerprint(&format!("grid;{};{}", list(&plan.grid.fsj), list(&plan.grid.zeta))),
+        grid: plan.grid.fingerprint(),
         load_n_m: plan.load_n_m,
         step_s: a.parameters.step_s,
         seed: plan.seed,

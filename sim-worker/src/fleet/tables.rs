@@ -11,7 +11,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use schemas::SCHEMA_VERSION;
 use schemas::error::{Error, Result};
 use schemas::feature::{Features, RawFeatures};
-use schemas::fingerprint::{checksum, fingerprint};
+use schemas::fingerprint::checksum;
 use schemas::recording::{Provenance, table_bytes};
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -71,18 +71,12 @@ fn pairs(plan: &FleetPlan) -> Vec<(String, String)> {
 pub fn telemetry_pairs(plan: &FleetPlan, part: &Part, fingerprint_of_plan: &str) -> Vec<(String, String)> {
     let actuator = &plan.actuators[part.actuator];
     let sequence = &plan.sequences[part.sequence];
-    let exact = |v: &[f64]| {
-        v.iter()
-            .map(|&x| schemas::fingerprint::exact(x))
-            .collect::<Vec<_>>()
-            .join(",")
-    };
     let provenance = Provenance {
         actuator: actuator.id.clone(),
         parameters: actuator.parameters.fingerprint(),
         sequence: sequence.name.clone(),
         sequence_fingerprint: sequence.fingerprint(),
-        grid: fingerprint(&format!("grid;{};{}", exact(&plan.grid.fsj), exact(&plan.grid.zeta))),
+        grid: plan.grid.fingerprint(),
         sensors: plan.sensor_fingerprint(),
         effects: actuator
             .parameters

@@ -5,22 +5,18 @@ use crate::query::fleet::{self, Fleet, floats, texts};
 use crate::query::{Table, stats};
 use anyhow::Result;
 use polars::prelude::*;
+use schemas::feature::{Feature, RawFeatures};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Raw features: over the healthy run P3 is 1 and the speed loss 0 in every actuator.
-const COLUMNS: [&str; 6] = [
-    "mean_speed_rad_per_s",
-    "ripple_rad_per_s",
-    "p2_a",
-    "p3_rad",
-    "rise_s",
-    "current_rms_a",
-];
+/// Raw features without the witnesses: over the healthy run P3 is 1 and the speed loss 0 in every actuator.
+const COLUMNS: &[&str] = RawFeatures::COLUMNS
+    .split_at(RawFeatures::COUNT - Feature::WITNESSES.len())
+    .0;
 
 pub fn reads(dir: &Path) -> Result<Vec<LazyFrame>> {
     Ok(vec![
-        fleet::read(dir, &COLUMNS, true, true)?,
+        fleet::read(dir, COLUMNS, true, true)?,
         Table::Actuators.scan(dir)?,
     ])
 }
@@ -29,7 +25,7 @@ pub fn reads(dir: &Path) -> Result<Vec<LazyFrame>> {
 /// parameter, `elasticity` (percent per percent, at the means), `share` of the variance that a straight line
 /// explains. The strongest first.
 pub fn answer(dir: &Path, frames: &[DataFrame]) -> Result<Answer> {
-    let fleet = Fleet::new(&frames[0], &COLUMNS, dir)?;
+    let fleet = Fleet::new(&frames[0], COLUMNS, dir)?;
     let drawn = &frames[1];
     let (names, name) = texts(drawn, "actuator", dir)?;
     let row: HashMap<&str, usize> = name
