@@ -6,7 +6,7 @@ use crate::receive::{Counts, MapSource, Options, Show, no_maps, receive};
 use clap::{Args, Parser};
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
 use schemas::stream::{Domain, domain};
-use sim_worker::datasets;
+use sim_worker::catalogue;
 use sim_worker::parameters::ActuatorParameters;
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -82,16 +82,16 @@ impl LiveArgs {
             actuators.push(Arc::new(ActuatorParameters::read(path)?));
         }
         let mut sequences = Vec::new();
-        for name in datasets::sequence_names() {
-            sequences.push(datasets::sequence(name)?);
+        for name in catalogue::sequence_names() {
+            sequences.push(catalogue::sequence(name)?);
         }
         for path in &self.sequence {
-            sequences.push(datasets::sequence(&path.to_string_lossy())?);
+            sequences.push(catalogue::sequence(&path.to_string_lossy())?);
         }
         let mut models = Vec::new();
-        models.extend(datasets::sensors("reference")?);
+        models.extend(catalogue::sensors("reference")?);
         for path in &self.sensors {
-            models.extend(datasets::sensors(&path.to_string_lossy())?);
+            models.extend(catalogue::sensors(&path.to_string_lossy())?);
         }
         let mut sensors = vec!["none".to_string()];
         sensors.extend(models.iter().map(|m| m.fingerprint()));
@@ -106,7 +106,7 @@ impl LiveArgs {
     /// What intervals are to be made for.
     pub fn choice(&self) -> Result<Choice> {
         Ok(Choice {
-            spread: datasets::spread(&self.spread)?,
+            spread: catalogue::spread(&self.spread)?,
             coverage: self.coverage,
         })
     }

@@ -112,7 +112,7 @@ fn plain(p: &ActuatorParameters, f: FaultState, com: &[f64]) -> f64 {
 
 fn main() {
     let p = Arc::new(ActuatorParameters::reference());
-    let preflight = sim_worker::datasets::sequence("preflight").expect("built in");
+    let preflight = sim_worker::catalogue::sequence("preflight").expect("built in");
     let mut com = vec![0.0; 3_000_000];
     CommandTrack::new(&preflight, p.step_s).fill(0, &mut com);
     let fault = FaultState { fsj: 3.0, zeta: 0.3 };

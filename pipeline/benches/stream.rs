@@ -63,11 +63,11 @@ fn about(actuator: &str, rows: u64) -> RunDescription {
     RunDescription {
         actuator: actuator.into(),
         parameters: ActuatorParameters::reference().fingerprint(),
-        sensors: sim_worker::datasets::sensors("reference")
+        sensors: sim_worker::catalogue::sensors("reference")
             .unwrap()
             .unwrap()
             .fingerprint(),
-        sequence: sim_worker::datasets::sequence("preflight").unwrap().fingerprint(),
+        sequence: sim_worker::catalogue::sequence("preflight").unwrap().fingerprint(),
         run: 1,
         rate_hz: RATE_HZ,
         channels: ChannelSet::basic(),
@@ -214,8 +214,8 @@ fn socket_latency(rows: usize) -> [f64; 3] {
 
 fn recordings(n: usize) -> Vec<Collector> {
     let actuator = Arc::new(ActuatorParameters::reference());
-    let sequence = sim_worker::datasets::sequence("preflight").unwrap();
-    let sensors = sim_worker::datasets::sensors("reference").unwrap();
+    let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
+    let sensors = sim_worker::catalogue::sensors("reference").unwrap();
     let e = Experiment::new(sequence, RATE_HZ, ChannelSet::basic(), sensors, actuator.step_s).unwrap();
     let runs: Vec<Run> = (0..n)
         .map(|i| Run {
@@ -245,12 +245,12 @@ fn recordings(n: usize) -> Vec<Collector> {
 fn make_maps() {
     let request = MapRequest {
         actuator: Arc::new(ActuatorParameters::reference()),
-        sequence: sim_worker::datasets::sequence("preflight").unwrap(),
+        sequence: sim_worker::catalogue::sequence("preflight").unwrap(),
         rate_hz: RATE_HZ,
-        sensors: sim_worker::datasets::sensors("reference").unwrap(),
+        sensors: sim_worker::catalogue::sensors("reference").unwrap(),
         rest_angle_rad: 0.0,
         equivalent_current: false,
-        grid: sim_worker::datasets::grid("fine").unwrap(),
+        grid: sim_worker::catalogue::grid("fine").unwrap(),
     };
     maps::cached(&request, &Choice::usual(), &Vec::new()).unwrap();
 }
@@ -273,10 +273,10 @@ fn role_live(diagnoses: u64, busy: bool, core: Option<usize>) {
             .stdout(Stdio::null())
             .status();
     }
-    let sensors = sim_worker::datasets::sensors("reference").unwrap().unwrap();
+    let sensors = sim_worker::catalogue::sensors("reference").unwrap().unwrap();
     let known = Known {
         actuators: vec![Arc::new(ActuatorParameters::reference())],
-        sequences: vec![sim_worker::datasets::sequence("preflight").unwrap()],
+        sequences: vec![sim_worker::catalogue::sequence("preflight").unwrap()],
         sensors: vec![sensors.fingerprint()],
     };
     let library = MapLibrary::cache(&maps::cache_dir().join("maps"));
@@ -428,7 +428,7 @@ fn extractor() {
     let run = recordings(1).remove(0);
     let view = run.view();
     let actuator = ActuatorParameters::reference();
-    let sequence = sim_worker::datasets::sequence("preflight").unwrap();
+    let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
     let plan = Arc::new(FeaturePlan::new(&actuator, &sequence, RATE_HZ, false));
     let bare = |v: &TelemetryView<'_>| {
         [Channel::Com, Channel::ThetaM, Channel::OmegaM]

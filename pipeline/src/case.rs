@@ -58,9 +58,9 @@ pub fn extract(m: &Measured, plan: Arc<FeaturePlan>) -> FeatureExtractor {
 /// The sensor model of a recording: named, said by the file, or recognised from its values.
 pub fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> {
     if settings.sensors != "auto" {
-        return Ok(sim_worker::datasets::sensors(&settings.sensors)?);
+        return Ok(sim_worker::catalogue::sensors(&settings.sensors)?);
     }
-    let reference = sim_worker::datasets::sensors("reference")?;
+    let reference = sim_worker::catalogue::sensors("reference")?;
     if m.sensors == "none" {
         return Ok(None);
     }

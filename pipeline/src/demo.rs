@@ -115,8 +115,8 @@ pub fn statistics(
 pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<()> {
     let begin = Instant::now();
     let actuator = Arc::new(ActuatorParameters::reference());
-    let sequence = sim_worker::datasets::sequence("preflight")?;
-    let sensors = sim_worker::datasets::sensors("reference")?.expect("built in");
+    let sequence = sim_worker::catalogue::sequence("preflight")?;
+    let sensors = sim_worker::catalogue::sensors("reference")?.expect("built in");
     let channels = ChannelSet::basic();
     let experiment = Experiment::new(
         sequence.clone(),
@@ -127,7 +127,7 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     )?;
     let plan = Plan {
         actuator: actuator.clone(),
-        grid: sim_worker::datasets::grid(grid)?,
+        grid: sim_worker::catalogue::grid(grid)?,
         rest_angles_rad: vec![0.0],
         load_n_m: 0.0,
         experiment: experiment.clone(),

@@ -311,7 +311,7 @@ pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -
     const ENOUGH: f64 = 0.98;
     let by_name = wanted.or((!m.sequence.is_empty()).then_some(m.sequence.as_str()));
     if let Some(name) = by_name {
-        if let Ok(s) = sim_worker::datasets::sequence(name) {
+        if let Ok(s) = sim_worker::catalogue::sequence(name) {
             if wanted.is_none() && m.sequence_fingerprint != s.fingerprint() {
                 let (found, allowed) = (&m.sequence_fingerprint, s.fingerprint());
                 let place = format!("fingerprint of sequence `{name}`");
@@ -327,12 +327,12 @@ pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -
             return Ok(s);
         }
         if wanted.is_some() {
-            sim_worker::datasets::sequence(name)?;
+            sim_worker::catalogue::sequence(name)?;
         }
     }
     let mut best: Option<(f64, TestSequence)> = None;
-    for name in sim_worker::datasets::sequence_names() {
-        let s = sim_worker::datasets::sequence(name)?;
+    for name in sim_worker::catalogue::sequence_names() {
+        let s = sim_worker::catalogue::sequence(name)?;
         let (share, _) = agreement(m, &s, step_s);
         if best.as_ref().is_none_or(|(b, _)| share > *b) {
             best = Some((share, s));
@@ -346,7 +346,7 @@ pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -
                 s.name,
                 100.0 * share
             );
-            let names: Vec<&str> = sim_worker::datasets::sequence_names().collect();
+            let names: Vec<&str> = sim_worker::catalogue::sequence_names().collect();
             let allowed = format!("{} or --sequence FILE.toml", names.join(", "));
             Err(Error::bad(path.display().to_string(), "column `com`", found, allowed).into())
         }

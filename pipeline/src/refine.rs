@@ -396,14 +396,14 @@ fn two_sided(share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sim_worker::datasets;
+    use sim_worker::catalogue;
     use sim_worker::parameters::ActuatorParameters;
 
     fn kind() -> TestKind {
         TestKind {
             actuator: Arc::new(ActuatorParameters::reference()),
-            sequence: datasets::sequence("preflight").unwrap(),
-            sensors: datasets::sensors("reference").unwrap(),
+            sequence: catalogue::sequence("preflight").unwrap(),
+            sensors: catalogue::sensors("reference").unwrap(),
             rate_hz: 1e4,
             rest_angle_rad: 0.0,
             load_n_m: 0.0,
@@ -483,7 +483,7 @@ mod tests {
 
     #[test]
     fn prop_a_known_cause_narrows_the_box_and_a_missing_feature_widens_it() {
-        let (kind, spread) = (kind(), datasets::spread("fleet").unwrap());
+        let (kind, spread) = (kind(), catalogue::spread("fleet").unwrap());
         let draw = [0.5, -0.6, 0.4, -0.7, 0.3, 0.0, 0.0];
         let truth = (3.1, 0.21);
         let (nominal, features) = recording(&kind, &spread, draw, truth);

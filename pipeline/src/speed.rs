@@ -72,7 +72,7 @@ pub fn standstill() -> TestSequence {
 /// Nanoseconds that the simplified model takes for a microsecond of the pre-flight test.
 pub fn monitor(repeat: usize) -> f64 {
     let actuator = ActuatorParameters::reference();
-    let sequence = sim_worker::datasets::sequence("preflight").expect("built in");
+    let sequence = sim_worker::catalogue::sequence("preflight").expect("built in");
     let mut best = f64::INFINITY;
     for _ in 0..repeat {
         let start = Instant::now();
@@ -85,7 +85,7 @@ pub fn monitor(repeat: usize) -> f64 {
 /// Measures everything, in a few seconds.
 pub fn measure() -> Speed {
     let set = InstructionSet::detect();
-    let preflight = sim_worker::datasets::sequence("preflight").expect("built in");
+    let preflight = sim_worker::catalogue::sequence("preflight").expect("built in");
     Speed {
         scalar_ns_per_step: engine::<1>(&preflight, set, 3),
         lanes_ns_per_step_per_run: engine::<LANES>(&preflight, set, 3),

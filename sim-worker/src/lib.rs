@@ -1,20 +1,20 @@
 //! The physics of an electromechanical actuator: the numerical test bench, the simplified model,
 //! their faults and sensors, the engine that runs them over lanes, the features of a run, and (with
-//! the feature `fleet`) the program that works through its share of a fleet's dataset.
+//! the feature `dataset`) the program that works through its share of a dataset.
+pub mod catalogue;
 pub mod command;
 pub mod control;
-pub mod datasets;
+#[cfg(feature = "dataset")]
+pub mod dataset;
 pub mod effect;
 pub mod extractor;
-#[cfg(feature = "fleet")]
-pub mod fleet;
 pub mod interrupt;
 pub mod lanes;
 pub mod monitor;
 pub mod noise;
 pub mod parameters;
 pub mod plant;
-#[cfg(feature = "fleet")]
+#[cfg(feature = "dataset")]
 pub mod progress;
 pub mod sensor;
 pub mod simulate;

@@ -1,4 +1,4 @@
 //! One share of a fleet's simulations.
 fn main() -> std::process::ExitCode {
-    sim_worker::fleet::program::main()
+    sim_worker::dataset::program::main()
 }

@@ -197,7 +197,7 @@ mod tests {
     #[test]
     fn prop_units_keep_to_their_half_widths() {
         let a = ActuatorParameters::reference();
-        let fleet = crate::datasets::spread("fleet").unwrap();
+        let fleet = crate::catalogue::spread("fleet").unwrap();
         let (unit, rest) = fleet.unit(&a, 0.5, &[1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0]);
         let near = |x: f64, y: f64| assert!((x / y - 1.0).abs() < 1e-12, "{x} {y}");
         near(unit.phase_resistance_ohm, 1.05 * a.phase_resistance_ohm);

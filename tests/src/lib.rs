@@ -37,7 +37,7 @@ pub fn reference_run(fsj: f64, zeta: f64, sequence: &str, rate_hz: f64) -> Colle
 /// Runs of the reference actuator side by side.
 pub fn reference_runs(faults: &[(f64, f64)], sequence: &str, rate_hz: f64) -> Vec<Collector> {
     let actuator = Arc::new(ActuatorParameters::reference());
-    let sequence = sim_worker::datasets::sequence(sequence).unwrap();
+    let sequence = sim_worker::catalogue::sequence(sequence).unwrap();
     let channels = schemas::channel::ChannelSet::basic();
     let e = Experiment::new(sequence, rate_hz, channels, None, actuator.step_s).unwrap();
     let runs: Vec<Run> = faults

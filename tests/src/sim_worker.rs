@@ -1,4 +1,4 @@
 //! The program `sim-worker`, so that the tests find it.
 fn main() -> std::process::ExitCode {
-    sim_worker::fleet::program::main()
+    sim_worker::dataset::program::main()
 }

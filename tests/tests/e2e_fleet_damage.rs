@@ -4,10 +4,10 @@
 use ema_tests::fleet::{Files, Fleet, VARIED, copy, files, same};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use sim_worker::fleet::merge::merge;
-use sim_worker::fleet::plan::FleetPlan;
-use sim_worker::fleet::storage::Storage;
-use sim_worker::fleet::verify::{Report, discard, verify};
+use sim_worker::dataset::merge::merge;
+use sim_worker::dataset::plan::DatasetPlan;
+use sim_worker::dataset::storage::Storage;
+use sim_worker::dataset::verify::{Report, discard, verify};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -71,7 +71,7 @@ impl Bed {
 
 /// The telemetry of part `number`, and its staged features.
 fn names(number: usize) -> (String, String) {
-    let plan = FleetPlan::read(&made().0.path("plan.toml")).unwrap();
+    let plan = DatasetPlan::read(&made().0.path("plan.toml")).unwrap();
     let part = &plan.parts()[number];
     (
         plan.telemetry_path(part),
@@ -248,7 +248,7 @@ fn prop_damaged_staged_files_are_found_and_made_again() {
 fn prop_single_bits_of_staged_files_are_found_or_do_nothing() {
     let name_of_bed = "staged-bits";
     let mut bed = Bed::new("staged", name_of_bed);
-    let plan = FleetPlan::read(&made().0.path("plan.toml")).unwrap();
+    let plan = DatasetPlan::read(&made().0.path("plan.toml")).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let whole = files(&bed.root);
     let (telemetry, staged): (Vec<&String>, Vec<&String>) = whole

@@ -3,7 +3,7 @@
 use ema_tests::fleet::{BARE, Ended, Fleet, VARIED, same};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use sim_worker::fleet::plan::FleetPlan;
+use sim_worker::dataset::plan::DatasetPlan;
 use std::path::Path;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_sim-worker-under-test");
@@ -380,13 +380,13 @@ fn prop_mutated_plans_are_read_or_refused_in_one_line() {
     let (mut read, mut refused) = (0, 0);
     for _ in 0..3000 {
         let text = mutated(VARIED, &mut rng);
-        match FleetPlan::parse("plan.toml", &text, &dir) {
+        match DatasetPlan::parse("plan.toml", &text, &dir) {
             Ok(plan) => {
                 // what follows from a plan must not fail either
                 let parts = plan.parts();
                 assert!(!parts.is_empty() && plan.runs() > 0, "{text}");
                 // and a dataset's own copy is the same plan
-                let own = FleetPlan::parse("plan.toml", &plan.text, Path::new("")).expect("its own text");
+                let own = DatasetPlan::parse("plan.toml", &plan.text, Path::new("")).expect("its own text");
                 assert_eq!(own.fingerprint(), plan.fingerprint(), "{text}");
                 read += 1;
             }
@@ -435,8 +435,8 @@ fn e2e_odd_but_valid_plans_are_worked_through() {
             fleet.write("plan.toml", &format!("sensors = \"{sensors}\"\n{plan}\n{more}\n"));
             fleet.run(&["--out", &out]).done();
             fleet.run(&["--out", &out, "--merge"]).done();
-            let storage = sim_worker::fleet::storage::Storage::open(fleet.path(&out).to_str().unwrap()).unwrap();
-            let report = sim_worker::fleet::verify::verify(&storage, |_, _| ()).unwrap();
+            let storage = sim_worker::dataset::storage::Storage::open(fleet.path(&out).to_str().unwrap()).unwrap();
+            let report = sim_worker::dataset::verify::verify(&storage, |_, _| ()).unwrap();
             assert_eq!(report.findings, [], "{out}");
         }
     }

@@ -13,7 +13,7 @@ use std::sync::{Arc, LazyLock};
 static RUN: LazyLock<Collector> = LazyLock::new(|| reference_run(2.3, 0.21, "preflight", 1000.0));
 
 fn plan() -> Arc<FeaturePlan> {
-    let s = sim_worker::datasets::sequence("preflight").unwrap();
+    let s = sim_worker::catalogue::sequence("preflight").unwrap();
     Arc::new(FeaturePlan::new(&ActuatorParameters::reference(), &s, 1000.0, false))
 }
 

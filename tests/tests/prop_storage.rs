@@ -1,6 +1,6 @@
 //! The storage layer on folders and against an S3 server.
 use ema_tests::s3::{self, S3Server, environment};
-use sim_worker::fleet::storage::{Put, Storage};
+use sim_worker::dataset::storage::{Put, Storage};
 use std::collections::HashSet;
 use std::path::Path;
 use std::process::{Command, Stdio};

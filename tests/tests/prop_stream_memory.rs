@@ -87,7 +87,7 @@ fn prop_no_copy_and_no_allocation_per_frame() {
     let domain = TestDomain::default();
     let telemetry = reference_run(2.0, 0.2, "preflight", 10_000.0);
     let actuator = Arc::new(ActuatorParameters::reference());
-    let sequence = sim_worker::datasets::sequence("preflight").unwrap();
+    let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
     let about = RunDescription {
         actuator: "rig".into(),
         parameters: actuator.fingerprint(),

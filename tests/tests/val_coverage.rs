@@ -21,7 +21,7 @@ static READY: LazyLock<Ready> = LazyLock::new(|| {
     let cache = tempfile::tempdir().unwrap();
     let (set, kind) = reference_maps(&cache.path().join("maps"), "fine", 0.0).unwrap();
     let diagnoser = |spread: &str| {
-        let spread = sim_worker::datasets::spread(spread).unwrap();
+        let spread = sim_worker::catalogue::spread(spread).unwrap();
         let effort = Effort {
             runs: 1024,
             ..Effort::QUICK
@@ -37,7 +37,7 @@ static READY: LazyLock<Ready> = LazyLock::new(|| {
 });
 
 fn fresh_cases(name: &str, n: usize) -> Vec<Case> {
-    let spread = sim_worker::datasets::spread(name).unwrap();
+    let spread = sim_worker::catalogue::spread(name).unwrap();
     let diagnoser = if name == "none" { &READY.none } else { &READY.fleet };
     let (units, measured) = fresh(&READY.kind, &spread, n, 9).unwrap();
     judge(diagnoser, &units, &measured)
@@ -90,7 +90,7 @@ fn val_one_known_unit_is_located_closely() {
 #[test]
 fn val_other_defects_do_not_pass_for_these_faults() {
     for (name, diagnoser) in [("none", &READY.none), ("fleet", &READY.fleet)] {
-        let spread = sim_worker::datasets::spread(name).unwrap();
+        let spread = sim_worker::catalogue::spread(name).unwrap();
         let (mut silent, mut all) = (0, 0);
         for defect in Defect::ALL {
             let cases = defects::tests(diagnoser, &READY.kind, &spread, defect, 48, 3).unwrap();
@@ -110,7 +110,7 @@ fn val_other_defects_do_not_pass_for_these_faults() {
 
 #[test]
 fn prop_a_known_cause_narrows_the_intervals_and_keeps_the_truth() {
-    let spread = sim_worker::datasets::spread("fleet").unwrap();
+    let spread = sim_worker::catalogue::spread("fleet").unwrap();
     let (units, measured) = fresh(&READY.kind, &spread, 64, 4).unwrap();
     let (mut known_inside, mut width, mut known_width) = (0, vec![], vec![]);
     for (u, raw) in units.iter().zip(&measured) {

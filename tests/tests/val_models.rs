@@ -21,7 +21,7 @@ fn rms(v: &[f64]) -> f64 {
 fn val_simplified_model_follows_the_bench() {
     let p = ActuatorParameters::reference();
     for (name, size, bound) in [("ramp", 1e-3, 0.005), ("sine", 1e-3, 0.005), ("step", 1.0, 0.01)] {
-        let s = sim_worker::datasets::sequence(name).unwrap();
+        let s = sim_worker::catalogue::sequence(name).unwrap();
         let ntb = reference_run(1.0, 0.0, name, 1e4);
         let sm = MonitorTrack::run(&p, &s, 1e4);
         let theta = ntb.column(Channel::ThetaU).unwrap();

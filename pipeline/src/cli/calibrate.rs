@@ -52,16 +52,16 @@ pub fn calibrate(a: &CalibrateArgs) -> Result<ExitCode> {
     };
     let set = FailureMapSet::load(&file)?;
     let choice = Choice {
-        spread: sim_worker::datasets::spread(&a.spread)?,
+        spread: sim_worker::catalogue::spread(&a.spread)?,
         coverage: a.coverage,
     };
-    let sequence = sim_worker::datasets::sequence(a.sequence.as_deref().unwrap_or(&set.header.sequence))?;
+    let sequence = sim_worker::catalogue::sequence(a.sequence.as_deref().unwrap_or(&set.header.sequence))?;
     let usual = if set.header.sensors == "none" {
         "none"
     } else {
         "reference"
     };
-    let sensors = sim_worker::datasets::sensors(a.sensors.as_deref().unwrap_or(usual))?;
+    let sensors = sim_worker::catalogue::sensors(a.sensors.as_deref().unwrap_or(usual))?;
     let kind = TestKind::of(&file, &set.header, a.actuator.read()?, sequence, sensors)?;
     let effort = Effort {
         runs: a.runs as usize,

@@ -150,9 +150,9 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         run: a.run,
         sequence: a.recording.sequence.clone(),
         sensors: a.recording.sensors.clone(),
-        grid: sim_worker::datasets::grid(&a.grid)?,
+        grid: sim_worker::catalogue::grid(&a.grid)?,
         choice: Choice {
-            spread: sim_worker::datasets::spread(&a.spread)?,
+            spread: sim_worker::catalogue::spread(&a.spread)?,
             coverage: a.coverage,
         },
         known: a.known.clone(),

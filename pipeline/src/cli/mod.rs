@@ -1,9 +1,9 @@
 //! The command line of `ema`.
 
 mod calibrate;
+mod dataset;
 mod diagnose;
 mod discrepancy;
-mod fleet;
 mod plot;
 mod query;
 mod run;
@@ -90,7 +90,7 @@ enum Commands {
     Discrepancy(discrepancy::DiscrepancyArgs),
     /// What a fleet plan comes to: runs, bytes and time, measured before anything starts
     #[command(after_help = "Example: ema plan datasets/fleets/demo.toml")]
-    Plan(fleet::PlanArgs),
+    Plan(dataset::PlanArgs),
     /// Datasets of whole fleets: make, merge, verify, maps, diagnose, export, copy
     #[command(
         subcommand,
@@ -98,7 +98,7 @@ enum Commands {
         diagnose fleet && ema query --list\nMany machines: sim-worker --help, sim-worker/deploy. A dataset is a folder or \
         s3://BUCKET/PREFIX (credentials from AWS_* environment variables)."
     )]
-    Dataset(fleet::DatasetCommand),
+    Dataset(dataset::DatasetCommand),
     /// SQL and ready questions over a dataset
     #[command(
         after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature); of a fleet also\n\
@@ -181,8 +181,8 @@ pub fn main() -> ExitCode {
         Commands::Bench(a) => bench(&a),
         Commands::Demo(a) => crate::demo::demo(&a.out, &a.grid, a.seeds, a.file.as_deref()).map(|()| ExitCode::SUCCESS),
         Commands::Discrepancy(a) => discrepancy::discrepancy(&a),
-        Commands::Plan(a) => fleet::plan(&a),
-        Commands::Dataset(a) => fleet::dataset(&a),
+        Commands::Plan(a) => dataset::plan(&a),
+        Commands::Dataset(a) => dataset::dataset(&a),
         Commands::Query(a) => query::query(&a),
     };
     result.unwrap_or_else(|e| {

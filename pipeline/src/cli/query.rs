@@ -1,13 +1,13 @@
 //! `ema query`.
 
 use super::say;
-use crate::fleet::copy::mirror;
+use crate::dataset::copy::mirror;
 use crate::maps::cache_dir;
 use crate::query::{Answer, Question, Table, explain, output, query as sql};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use schemas::error::Error;
-use sim_worker::fleet::storage::Storage;
+use sim_worker::dataset::storage::Storage;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 

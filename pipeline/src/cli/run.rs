@@ -99,8 +99,8 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
     let fault = faults(a.fsj, a.zeta)?;
     let rest_angle_rad = finite("--rest-angle-deg", a.rest_angle_deg)?.to_radians();
     let load_n_m = finite("--load-n-m", a.load_n_m)?;
-    let sequence = sim_worker::datasets::sequence(&a.sequence)?;
-    let sensors = sim_worker::datasets::sensors(&a.sensors)?;
+    let sequence = sim_worker::catalogue::sequence(&a.sequence)?;
+    let sensors = sim_worker::catalogue::sensors(&a.sensors)?;
     let mut channels = channel_set(&a.channels)?;
     let e = Experiment::new(sequence, a.rate, channels, sensors, actuator.step_s)?;
     if a.model == Model::Sm {

@@ -61,8 +61,8 @@ pub struct SimulateArgs {
 
 pub fn simulate(a: &SimulateArgs) -> Result<ExitCode> {
     let actuator = a.actuator.read()?;
-    let sequence = sim_worker::datasets::sequence(&a.sequence)?;
-    let sensors = sim_worker::datasets::sensors(&a.sensors)?;
+    let sequence = sim_worker::catalogue::sequence(&a.sequence)?;
+    let sensors = sim_worker::catalogue::sensors(&a.sensors)?;
     let channels = super::run::channel_set(&a.channels)?;
     let experiment = Experiment::new(sequence, a.rate, channels, sensors, actuator.step_s)?;
     let mut rest_angles_rad = Vec::new();
@@ -75,7 +75,7 @@ pub fn simulate(a: &SimulateArgs) -> Result<ExitCode> {
     }
     let plan = Plan {
         actuator,
-        grid: sim_worker::datasets::grid(&a.grid)?,
+        grid: sim_worker::catalogue::grid(&a.grid)?,
         rest_angles_rad,
         load_n_m: super::run::finite("--load-n-m", a.load_n_m)?,
         experiment,
@@ -133,14 +133,14 @@ pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
             Provenance::from_pairs(&block, &metadata(&block)?)?.sequence
         }
     };
-    let sequence = sim_worker::datasets::sequence(&name)?;
+    let sequence = sim_worker::catalogue::sequence(&name)?;
     let rest = a.rest_angle_deg.map(f64::to_radians);
     let set = crate::maps::build(&a.dataset, &sequence, &actuator, false, rest, a.lenient)?;
     let out = a.out.clone().unwrap_or_else(|| a.dataset.join("maps.parquet"));
     set.save(&out)?;
     if a.quality {
         let choice = Choice {
-            spread: sim_worker::datasets::spread(&a.spread)?,
+            spread: sim_worker::catalogue::spread(&a.spread)?,
             coverage: COVERAGE,
         };
         let quality = MapQuality::of(&choice.ready(&out, set, &Vec::new())?);

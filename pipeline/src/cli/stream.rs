@@ -38,7 +38,7 @@ pub struct LiveCommand {
 
 pub fn live(a: &LiveCommand) -> Result<ExitCode> {
     let (known, models) = a.live.known()?;
-    let grid = sim_worker::datasets::grid(&a.grid)?;
+    let grid = sim_worker::catalogue::grid(&a.grid)?;
     let choice = a.live.choice()?;
     let source: MapSource = if a.live.maps.is_empty() {
         // the live view owns the terminal
@@ -148,7 +148,7 @@ pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
             run: None,
             sequence: a.recording.sequence.clone(),
             sensors: a.recording.sensors.clone(),
-            grid: sim_worker::datasets::grid("fine")?,
+            grid: sim_worker::catalogue::grid("fine")?,
             choice: Choice::usual(),
             known: Vec::new(),
         },
@@ -239,8 +239,8 @@ pub fn bench_live(a: &BenchLiveArgs) -> Result<ExitCode> {
     let given = faults(a.fsj, a.zeta)?;
     let rest_angle_rad = finite("--rest-angle-deg", a.rest_angle_deg)?.to_radians();
     let load_n_m = finite("--load-n-m", a.load_n_m)?;
-    let sequence = sim_worker::datasets::sequence(&a.sequence)?;
-    let sensors = sim_worker::datasets::sensors(&a.sensors)?;
+    let sequence = sim_worker::catalogue::sequence(&a.sequence)?;
+    let sensors = sim_worker::catalogue::sensors(&a.sensors)?;
     let experiment = Experiment::new(sequence, a.rate, ChannelSet::basic(), sensors, actuator.step_s)?;
     let rows = (positive("--frame-ms", a.frame_ms, 1000.0)? * 1e-3 * a.rate)
         .round()

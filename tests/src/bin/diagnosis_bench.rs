@@ -102,7 +102,7 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
     let mut times = String::new();
     let step_ns = pipeline::speed::measure().scalar_ns_per_step;
     for name in ["none", "fleet"] {
-        let spread = sim_worker::datasets::spread(name)?;
+        let spread = sim_worker::catalogue::spread(name)?;
         let campaign = Campaign::run(&kind, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
         let (units, measured) = fresh(&kind, &spread, options.tests, options.seed)?;
         let diagnoser = calibrated(&set, &campaign)?;
@@ -148,7 +148,7 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
 }
 
 fn defect_table(diagnoser: &Diagnoser, kind: &pipeline::calibrate::TestKind, name: &str) -> Result<String> {
-    let spread = sim_worker::datasets::spread(name)?;
+    let spread = sim_worker::catalogue::spread(name)?;
     let mut out = format!(
         "## Other defects, spread {name}\n\nSilent miss: located, and the true pair outside.\n\n| hidden | tests | unexplained | out of \
          range | truth inside | silent misses % | width FSJ | maps named most |\n|---|---|---|---|---|---|---|---|\n"
@@ -166,7 +166,7 @@ fn defect_table(diagnoser: &Diagnoser, kind: &pipeline::calibrate::TestKind, nam
 
 /// Maps made on first use at other rest angles, calibrated quickly.
 fn at_random_angles(cache: &std::path::Path) -> Result<String> {
-    let spread = sim_worker::datasets::spread("none")?;
+    let spread = sim_worker::catalogue::spread("none")?;
     let mut out = String::from(
         "## Other rest angles, spread none\n\nMaps and calibration as made on first use (512 tests); 200 fresh tests each. Maps that are \
          not monotone are left out.\n\n| rest angle | maps | truth inside % | width FSJ | width zeta |\n|---|---|---|---|---|\n",

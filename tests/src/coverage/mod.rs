@@ -25,12 +25,12 @@ pub fn reference_maps(dir: &Path, grid: &str, rest_angle_rad: f64) -> Result<(Fa
     let actuator = Arc::new(ActuatorParameters::reference());
     let request = MapRequest {
         actuator,
-        sequence: sim_worker::datasets::sequence("preflight")?,
+        sequence: sim_worker::catalogue::sequence("preflight")?,
         rate_hz: 1e4,
-        sensors: sim_worker::datasets::sensors("reference")?,
+        sensors: sim_worker::catalogue::sensors("reference")?,
         rest_angle_rad,
         equivalent_current: false,
-        grid: sim_worker::datasets::grid(grid)?,
+        grid: sim_worker::catalogue::grid(grid)?,
     };
     Ok((made(dir, &request)?, request.kind()))
 }

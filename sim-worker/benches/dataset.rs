@@ -9,12 +9,12 @@ use schemas::channel::ChannelSet;
 use schemas::error::Result;
 use schemas::run_encoder::TelemetryLayout;
 use schemas::telemetry::{Collector, TelemetryHeader, TelemetrySink, TelemetryView};
+use sim_worker::dataset::parts::Part;
+use sim_worker::dataset::plan::DatasetPlan;
+use sim_worker::dataset::shard::Shard;
+use sim_worker::dataset::storage::Storage;
+use sim_worker::dataset::work::{Bench, work};
 use sim_worker::extractor::FeaturePlan;
-use sim_worker::fleet::parts::Part;
-use sim_worker::fleet::plan::FleetPlan;
-use sim_worker::fleet::shard::Shard;
-use sim_worker::fleet::storage::Storage;
-use sim_worker::fleet::work::{Bench, work};
 use sim_worker::noise::Noise;
 use sim_worker::simulate::{Experiment, LANES, Run, simulate};
 use sim_worker::worker::Progress;
@@ -31,12 +31,12 @@ impl TelemetrySink for Nothing {
     }
 }
 
-fn plan(text: &str) -> FleetPlan {
+fn plan(text: &str) -> DatasetPlan {
     let common = "\n[aircraft]\ntails = { prefix = \"T\", count = 100 }\npositions = [\"left\", \"right\"]\n\
         [spread]\nphase_resistance_ohm = { distribution = \"uniform\", half_width_relative = 0.05 }\n\
         back_emf_v_s_per_rad = { distribution = \"uniform\", half_width_relative = 0.02 }\n\
         inertia_kg_m2 = { distribution = \"normal\", sd_relative = 0.02 }\n";
-    FleetPlan::parse(
+    DatasetPlan::parse(
         "bench",
         &format!("name = \"bench\"\nseed = 1\n{text}\n{common}"),
         Path::new(""),
@@ -61,7 +61,7 @@ fn least(n: usize, mut f: impl FnMut()) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-fn bare(plan: &FleetPlan, channels: ChannelSet, part: &Part, runs: &[u64]) {
+fn bare(plan: &DatasetPlan, channels: ChannelSet, part: &Part, runs: &[u64]) {
     let step = plan.actuators[0].parameters.step_s;
     let e = Experiment::new(
         plan.sequences[part.sequence].clone(),
@@ -183,7 +183,7 @@ fn shares() {
 
 /// Runs of a shard of the fleet of 200 actuators, stored in a folder, beside the same runs through the bare
 /// engine; all threads. Returns seconds a run of both.
-fn share_of_fleet(plan: &FleetPlan, shard: Shard) -> (f64, f64) {
+fn share_of_fleet(plan: &DatasetPlan, shard: Shard) -> (f64, f64) {
     let folder = tempfile::tempdir().expect("a folder");
     let storage = Storage::open(&folder.path().display().to_string()).expect("a folder");
     let start = Instant::now();

@@ -3,7 +3,7 @@
 
 use super::layout::{MANIFEST, PLAN, STAGED, features, staged, staged_part};
 use super::parts::Part;
-use super::plan::FleetPlan;
+use super::plan::DatasetPlan;
 use super::shard::Shard;
 use super::sink::{RunResult, RunSink, Shared, with_sources};
 use super::storage::{Put, Storage};
@@ -37,7 +37,7 @@ pub struct Done {
 ///
 /// # Errors
 /// A dataset of another plan, with what differs; a folder with something else in it.
-pub fn enter(plan: &FleetPlan, storage: &Storage) -> Result<()> {
+pub fn enter(plan: &DatasetPlan, storage: &Storage) -> Result<()> {
     let first = format!("# plan {}", plan.fingerprint());
     let text = format!("{first}\n{}", plan.text);
     if storage.put_new(PLAN, text)? == Put::Made {
@@ -68,7 +68,7 @@ pub fn enter(plan: &FleetPlan, storage: &Storage) -> Result<()> {
 
 /// An object that is not of a dataset of `plan`. Those of this plan may be there although its text was not:
 /// other workers are quick, and a plan may get lost.
-fn stranger(plan: &FleetPlan, storage: &Storage) -> Result<Option<String>> {
+fn stranger(plan: &DatasetPlan, storage: &Storage) -> Result<Option<String>> {
     let mut tables = Vec::new();
     for (path, size) in storage.list("")? {
         let ours = [
@@ -127,7 +127,7 @@ pub struct Made {
 
 impl Made {
     /// Looks what is there.
-    pub fn find(plan: &FleetPlan, storage: &Storage) -> Result<Self> {
+    pub fn find(plan: &DatasetPlan, storage: &Storage) -> Result<Self> {
         let names = |prefix: &str| -> Result<BTreeSet<String>> {
             Ok(storage.list(prefix)?.into_iter().map(|(path, _)| path).collect())
         };
@@ -150,7 +150,7 @@ impl Made {
     }
 
     /// Whether a part is staged or merged, its telemetry included.
-    pub fn has(&self, plan: &FleetPlan, part: &Part) -> bool {
+    pub fn has(&self, plan: &DatasetPlan, part: &Part) -> bool {
         let merged = self.merged(plan.features_file(part.actuator));
         let samples = !part.telemetry || self.telemetry.contains(&plan.telemetry_path(part));
         samples && (merged || self.staged.contains(&part.number))
@@ -165,7 +165,7 @@ struct FeaturePlans {
 }
 
 impl FeaturePlans {
-    fn get(&self, plan: &FleetPlan, part: &Part) -> Arc<FeaturePlan> {
+    fn get(&self, plan: &DatasetPlan, part: &Part) -> Arc<FeaturePlan> {
         let key = (part.actuator, part.sequence);
         let find = || self.plans.lock().expect("no panics").get(&key).cloned();
         if let Some(found) = find() {
@@ -190,7 +190,7 @@ struct Assembly<'a> {
 
 /// Simulates blocks and stores parts.
 pub struct Bench<'a> {
-    plan: &'a FleetPlan,
+    plan: &'a DatasetPlan,
     fingerprint: String,
     shared: Vec<Shared>,
     /// by sequence: without telemetry, with it
@@ -199,7 +199,7 @@ pub struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
-    pub fn new(plan: &'a FleetPlan) -> Result<Self> {
+    pub fn new(plan: &'a DatasetPlan) -> Result<Self> {
         let step = plan.actuators[0].parameters.step_s;
         let mut experiments = Vec::new();
         let mut shared = Vec::new();
@@ -304,7 +304,7 @@ impl<'a> Bench<'a> {
 ///
 /// # Errors
 /// A dataset of another plan; storage that refuses. What is stored stays.
-pub fn work(plan: &FleetPlan, storage: &Storage, shard: Shard, progress: &Progress) -> Result<Option<Done>> {
+pub fn work(plan: &DatasetPlan, storage: &Storage, shard: Shard, progress: &Progress) -> Result<Option<Done>> {
     enter(plan, storage)?;
     let parts = plan.parts();
     let share = &parts[shard.range(parts.len())];
@@ -373,7 +373,7 @@ pub fn work(plan: &FleetPlan, storage: &Storage, shard: Shard, progress: &Progre
 
 /// A dataset's own plan, and its fingerprint when the dataset was made (another version of the program may
 /// give it another one).
-pub fn plan_of(storage: &Storage) -> Result<(FleetPlan, String)> {
+pub fn plan_of(storage: &Storage) -> Result<(DatasetPlan, String)> {
     let file = format!("{}/{PLAN}", storage.describe());
     let allowed = "a dataset of a fleet plan (ema dataset make, sim-worker)";
     let bytes = storage
@@ -384,5 +384,5 @@ pub fn plan_of(storage: &Storage) -> Result<(FleetPlan, String)> {
     let fingerprint = first
         .strip_prefix("# plan ")
         .ok_or_else(|| Error::bad(&file, "line 1", first, "`# plan` and a fingerprint"))?;
-    Ok((FleetPlan::parse(&file, rest, Path::new(""))?, fingerprint.into()))
+    Ok((DatasetPlan::parse(&file, rest, Path::new(""))?, fingerprint.into()))
 }

@@ -2,7 +2,7 @@
 //! that have fallen over. The factors are assumed.
 
 use super::parts::Part;
-use super::plan::FleetPlan;
+use super::plan::DatasetPlan;
 use crate::noise::FeatureValues;
 use crate::parameters::ActuatorParameters;
 use schemas::channel::Channel;
@@ -17,7 +17,7 @@ fn no_load_rad_per_s(a: &ActuatorParameters) -> f64 {
 }
 
 /// Least and greatest value of each stored channel.
-pub fn telemetry_ranges(plan: &FleetPlan, part: &Part) -> Vec<(Channel, (f64, f64))> {
+pub fn telemetry_ranges(plan: &DatasetPlan, part: &Part) -> Vec<(Channel, (f64, f64))> {
     let a = &plan.actuators[part.actuator].parameters;
     let Some(t) = &plan.telemetry else { return Vec::new() };
     let turn = std::f64::consts::TAU;
@@ -36,11 +36,11 @@ pub fn telemetry_ranges(plan: &FleetPlan, part: &Part) -> Vec<(Channel, (f64, f6
 
 /// Ranges of the raw features.
 pub struct FeatureRanges<'a> {
-    plan: &'a FleetPlan,
+    plan: &'a DatasetPlan,
 }
 
 impl<'a> FeatureRanges<'a> {
-    pub fn of(plan: &'a FleetPlan) -> Self {
+    pub fn of(plan: &'a DatasetPlan) -> Self {
         Self { plan }
     }
 

@@ -1,7 +1,7 @@
 //! Tables of a dataset as Parquet in memory. `schemas/README.md` is their specification.
 
 use super::parts::Part;
-use super::plan::{FleetPlan, SOURCE};
+use super::plan::{DatasetPlan, SOURCE};
 use crate::noise::FeatureValues;
 use crate::parameters::PARAMETERS;
 use arrow::array::{Array, ArrayRef, AsArray, Float64Array, RecordBatch, StringArray, UInt64Array};
@@ -51,7 +51,7 @@ pub fn opened(bytes: Bytes) -> std::result::Result<ParquetRecordBatchReaderBuild
 }
 
 /// Metadata that all tables of a dataset have.
-fn pairs(plan: &FleetPlan) -> Vec<(String, String)> {
+fn pairs(plan: &DatasetPlan) -> Vec<(String, String)> {
     [
         ("schema_version", SCHEMA_VERSION.to_string()),
         ("fleet", plan.name.clone()),
@@ -68,7 +68,7 @@ fn pairs(plan: &FleetPlan) -> Vec<(String, String)> {
 }
 
 /// Metadata of the telemetry of a part: that of any recording, and the plan.
-pub fn telemetry_pairs(plan: &FleetPlan, part: &Part, fingerprint_of_plan: &str) -> Vec<(String, String)> {
+pub fn telemetry_pairs(plan: &DatasetPlan, part: &Part, fingerprint_of_plan: &str) -> Vec<(String, String)> {
     let actuator = &plan.actuators[part.actuator];
     let sequence = &plan.sequences[part.sequence];
     let provenance = Provenance {
@@ -382,7 +382,7 @@ pub fn features_schema() -> Schema {
 }
 
 /// The rows of one row group of `features`; all parts of an actuator are among `parts`.
-fn features_batch(plan: &FleetPlan, parts: &[PartRows<'_>]) -> Result<RecordBatch> {
+fn features_batch(plan: &DatasetPlan, parts: &[PartRows<'_>]) -> Result<RecordBatch> {
     // the healthy run of an actuator, sequence and rest angle
     let mut healthy: BTreeMap<(usize, usize, usize), RawFeatures> = BTreeMap::new();
     let raw = |v: &FeatureValues| RawFeatures::from_values(v.map(|x| x.0), None);
@@ -440,18 +440,18 @@ fn features_batch(plan: &FleetPlan, parts: &[PartRows<'_>]) -> Result<RecordBatc
 }
 
 /// A file of `features`: a row group for each of `groups`.
-pub fn features_file(plan: &FleetPlan, groups: &[Vec<PartRows<'_>>]) -> Result<Vec<u8>> {
+pub fn features_file(plan: &DatasetPlan, groups: &[Vec<PartRows<'_>>]) -> Result<Vec<u8>> {
     let batches: Vec<RecordBatch> = groups.iter().map(|g| features_batch(plan, g)).collect::<Result<_>>()?;
     table_bytes(&batches, pairs(plan))
 }
 
 /// The table `actuators`.
-pub fn actuators_file(plan: &FleetPlan, path: &str) -> Result<Vec<u8>> {
+pub fn actuators_file(plan: &DatasetPlan, path: &str) -> Result<Vec<u8>> {
     let mut fields: Vec<Field> = ["actuator", "tail", "position", "parameters"]
         .map(|n| Field::new(n, DataType::Utf8, false))
         .to_vec();
     fields.extend(PARAMETERS.map(|p| Field::new(p.0, DataType::Float64, false)));
-    let text = |f: &dyn Fn(&super::plan::FleetActuator) -> String| -> ArrayRef {
+    let text = |f: &dyn Fn(&super::plan::PlannedActuator) -> String| -> ArrayRef {
         Arc::new(StringArray::from_iter_values(plan.actuators.iter().map(f)))
     };
     let mut columns = vec![

@@ -9,7 +9,7 @@ use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
 use schemas::error::Error;
 use schemas::feature::RawFeatures;
 use schemas::recording::table_bytes;
-use sim_worker::fleet::plan::SOURCE;
+use sim_worker::dataset::plan::SOURCE;
 use sim_worker::noise::FeatureValues;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

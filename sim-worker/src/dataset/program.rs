@@ -1,7 +1,7 @@
 //! The program `sim-worker`: one share of a fleet plan, or the merge of all.
 
 use super::merge::{Merged, merge};
-use super::plan::FleetPlan;
+use super::plan::DatasetPlan;
 use super::shard::{SHARDS, Shard};
 use super::storage::Storage;
 use super::work::{Done, work};
@@ -93,7 +93,7 @@ fn with_lines<T>(progress: &Arc<Progress>, total: u64, work: impl FnOnce() -> T)
 }
 
 /// Works through a share with a progress display. `Ok(None)` where it was interrupted.
-pub fn work_shown(plan: &FleetPlan, storage: &Storage, shard: Shard, title: &str) -> Result<Option<Done>> {
+pub fn work_shown(plan: &DatasetPlan, storage: &Storage, shard: Shard, title: &str) -> Result<Option<Done>> {
     let progress = Arc::new(Progress::default());
     let parts = plan.parts();
     let total = parts[shard.range(parts.len())]
@@ -125,7 +125,7 @@ pub fn summary(done: &Done, seconds: f64) -> String {
 }
 
 /// What is missing, in words: which shards to run.
-pub fn missing(plan: &FleetPlan, parts: &[usize]) -> String {
+pub fn missing(plan: &DatasetPlan, parts: &[usize]) -> String {
     missing_of(plan.parts().len(), parts, None)
 }
 
@@ -151,7 +151,7 @@ pub fn missing_of(total: usize, parts: &[usize], count: Option<usize>) -> String
 }
 
 fn run(p: &Program) -> Result<ExitCode> {
-    let plan = FleetPlan::read(&p.plan)?;
+    let plan = DatasetPlan::read(&p.plan)?;
     if let Some(n) = p.jobs {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
         pool.map_err(|e| Error::bad("command line", "--jobs", n, e.to_string()))?;

@@ -6,9 +6,9 @@ use bytes::Bytes;
 use rayon::prelude::*;
 use schemas::error::Error;
 use schemas::fingerprint::{checksum, fingerprint_bytes};
-use sim_worker::fleet::layout::{MANIFEST, PLAN};
-use sim_worker::fleet::manifest::{File, Manifest};
-use sim_worker::fleet::storage::{Put, Storage};
+use sim_worker::dataset::layout::{MANIFEST, PLAN};
+use sim_worker::dataset::manifest::{File, Manifest};
+use sim_worker::dataset::storage::{Put, Storage};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 

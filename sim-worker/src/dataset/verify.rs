@@ -4,7 +4,7 @@
 use super::layout::{ACTUATORS, MANIFEST, PLAN, features, staged};
 use super::manifest::{File, Manifest};
 use super::parts::Part;
-use super::plan::{FleetPlan, SOURCE};
+use super::plan::{DatasetPlan, SOURCE};
 use super::ranges::{FeatureRanges, telemetry_ranges};
 use super::storage::Storage;
 use super::tables::{Staged, Table, actuators_file, features_schema, opened};
@@ -52,7 +52,7 @@ pub struct FleetSummary {
 }
 
 impl FleetSummary {
-    fn of(plan: &FleetPlan) -> Self {
+    fn of(plan: &DatasetPlan) -> Self {
         Self {
             name: plan.name.clone(),
             actuators: plan.actuators.len(),
@@ -63,7 +63,7 @@ impl FleetSummary {
 }
 
 /// The first thing in which a manifest is not that of the plan.
-fn wrong_in(m: &Manifest, plan: &FleetPlan, fingerprint: &str) -> Option<String> {
+fn wrong_in(m: &Manifest, plan: &DatasetPlan, fingerprint: &str) -> Option<String> {
     let parts = plan.parts();
     let actuators = plan.actuators.len() as u64;
     let mut wanted: BTreeMap<String, (u64, Option<u64>, Option<u64>)> = BTreeMap::new();
@@ -116,7 +116,7 @@ impl Report {
 }
 
 struct Check<'a> {
-    plan: &'a FleetPlan,
+    plan: &'a DatasetPlan,
     fingerprint: String,
     same_program: bool,
     storage: &'a Storage,

@@ -4,7 +4,7 @@
 use super::layout::{ACTUATORS, MANIFEST, features, staged};
 use super::manifest::{File, Manifest};
 use super::parts::Part;
-use super::plan::{FleetPlan, SOURCE};
+use super::plan::{DatasetPlan, SOURCE};
 use super::storage::Storage;
 use super::tables::{PartRows, Receipt, Staged, Table, actuators_file, features_file};
 use super::work::{Made, enter};
@@ -48,7 +48,7 @@ fn of_table(path: &str, receipt: Receipt, runs: Option<std::ops::Range<u64>>) ->
 
 /// One file of features, and the entries of it and of the telemetry of its parts.
 fn compact(
-    plan: &FleetPlan,
+    plan: &DatasetPlan,
     fingerprint: &str,
     storage: &Storage,
     number: usize,
@@ -120,7 +120,7 @@ fn part_staged(storage: &Storage, part: &Part) -> Result<bool> {
 /// A dataset of another plan; a staged part that is damaged (it is named); storage that refuses.
 ///
 /// * `said` is told how many files of features are there, of how many
-pub fn merge(plan: &FleetPlan, storage: &Storage, said: impl Fn(usize, usize)) -> Result<Merged> {
+pub fn merge(plan: &DatasetPlan, storage: &Storage, said: impl Fn(usize, usize)) -> Result<Merged> {
     match put_together(plan, storage, said) {
         // another merge was quicker, and has cleared the staging folder
         Err(e) => match Manifest::read(storage) {
@@ -131,7 +131,7 @@ pub fn merge(plan: &FleetPlan, storage: &Storage, said: impl Fn(usize, usize)) -
     }
 }
 
-fn put_together(plan: &FleetPlan, storage: &Storage, said: impl Fn(usize, usize)) -> Result<Merged> {
+fn put_together(plan: &DatasetPlan, storage: &Storage, said: impl Fn(usize, usize)) -> Result<Merged> {
     enter(plan, storage)?;
     if let Some(manifest) = Manifest::read(storage)? {
         // what a worker left that came late

@@ -1,7 +1,7 @@
 //! Fleet plans: which actuators, how they differ, which tests they run, and what is kept.
 
 use super::draw::{Distribution, random};
-use crate::datasets;
+use crate::catalogue;
 use crate::parameters::{ActuatorParameters, PARAMETERS};
 use crate::sensor::SensorModel;
 use schemas::channel::{Channel, ChannelSet};
@@ -39,7 +39,7 @@ const MOST_NOISE_BYTES: u64 = 1 << 28;
 
 /// One actuator of the fleet.
 #[derive(Clone, Debug)]
-pub struct FleetActuator {
+pub struct PlannedActuator {
     /// `<tail>.<position>`
     pub id: String,
     /// tail number of the aircraft
@@ -65,14 +65,14 @@ pub struct KeptTelemetry {
 
 /// A fleet plan, checked.
 #[derive(Clone, Debug)]
-pub struct FleetPlan {
+pub struct DatasetPlan {
     pub name: String,
     /// the file's text with the files that it names
     pub text: String,
     pub seed: u64,
     /// file and text of the actuator that all are variations of
     base: (String, String),
-    pub actuators: Vec<FleetActuator>,
+    pub actuators: Vec<PlannedActuator>,
     pub sequences: Vec<TestSequence>,
     pub grid: FaultGrid,
     pub rest_angles_rad: Vec<f64>,
@@ -154,7 +154,7 @@ fn whole(s: &mut Section, key: &str, default: u64, most: u64) -> Result<u64> {
     s.number_or(key, default as f64, ok, &allowed).map(|x| x as u64)
 }
 
-impl FleetPlan {
+impl DatasetPlan {
     /// Reads a plan's file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
@@ -210,7 +210,7 @@ impl FleetPlan {
         for n in &names {
             let sequence = match files.section(n)? {
                 Some(section) => TestSequence::from_section(section)?,
-                None => datasets::sequence(n).map_err(|e| at(&s, "sequences", e))?,
+                None => catalogue::sequence(n).map_err(|e| at(&s, "sequences", e))?,
             };
             if !plain_name(&sequence.name) {
                 return Err(s.bad("sequences", sequence.name, NAME));
@@ -225,8 +225,8 @@ impl FleetPlan {
         }
         let grid = s.text_or("grid", "standard")?;
         let grid = match files.section(&grid)? {
-            Some(section) => datasets::grid_from(section)?,
-            None => datasets::grid(&grid).map_err(|e| at(&s, "grid", e))?,
+            Some(section) => catalogue::grid_from(section)?,
+            None => catalogue::grid(&grid).map_err(|e| at(&s, "grid", e))?,
         };
         let rest_angles_rad = if s.may_have("rest_angle_deg") {
             let turn = |x: f64| (-360.0..=360.0).contains(&x);
@@ -239,7 +239,7 @@ impl FleetPlan {
         let sensors = s.text_or("sensors", "none")?;
         let sensors = match files.section(&sensors)? {
             Some(section) => Some(SensorModel::from_section(section)?),
-            None => datasets::sensors(&sensors).map_err(|e| match at(&s, "sensors", e) {
+            None => catalogue::sensors(&sensors).map_err(|e| match at(&s, "sensors", e) {
                 Error::Bad { found, allowed, .. } => s.bad("sensors", found, format!("none, {allowed}")),
                 e => e,
             })?,
@@ -344,7 +344,7 @@ impl FleetPlan {
     /// Of everything that results and metadata depend on, the program's sources included; not of comments.
     pub fn fingerprint(&self) -> String {
         let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
-        let actuator = |a: &FleetActuator| format!("{}={}", a.id, a.parameters.fingerprint());
+        let actuator = |a: &PlannedActuator| format!("{}={}", a.id, a.parameters.fingerprint());
         let sequence = |q: &TestSequence| format!("{}={}", q.name, q.fingerprint());
         let telemetry = self.telemetry.as_ref().map_or("none".into(), |t| {
             format!("{},{},{},{:?}", t.every, t.wanted.0, t.stored.0, t.of)
@@ -368,7 +368,7 @@ impl FleetPlan {
 
     /// The parameters of one actuator as a TOML file.
     ///
-    /// * `actuator` its place in [`FleetPlan::actuators`]
+    /// * `actuator` its place in [`DatasetPlan::actuators`]
     pub fn actuator_toml(&self, actuator: usize) -> Result<String> {
         let (file, text) = &self.base;
         let nominal = ActuatorParameters::parse(file, text)?.values();
@@ -477,7 +477,7 @@ fn actuators(
     seed: u64,
     (file, text): &(String, String),
     spread: &Spreads,
-) -> Result<Vec<FleetActuator>> {
+) -> Result<Vec<PlannedActuator>> {
     let mut places: Vec<Place> = Vec::new();
     if s.may_have("aircraft") {
         let mut t = s.section("aircraft")?;
@@ -564,7 +564,7 @@ fn actuators(
         values.extend(known);
         let mut parameters = ActuatorParameters::parse_with(&format!("{plan}: actuator {id} ({file})"), text, &values)?;
         parameters.name = id.clone();
-        Ok(FleetActuator {
+        Ok(PlannedActuator {
             id,
             tail,
             position,

@@ -1,7 +1,7 @@
 //! Names of a dataset's objects, the same whoever writes them.
 
 use super::parts::Part;
-use super::plan::FleetPlan;
+use super::plan::DatasetPlan;
 
 /// The plan, first of all objects.
 pub const PLAN: &str = "plan.toml";
@@ -37,7 +37,7 @@ pub fn features(file: usize) -> String {
     format!("features/part-{file:04}.parquet")
 }
 
-impl FleetPlan {
+impl DatasetPlan {
     /// The telemetry of a part.
     pub fn telemetry_path(&self, part: &Part) -> String {
         format!(

@@ -1,7 +1,7 @@
 //! What one run of a fleet leaves: its features and, if they are kept, its encoded samples.
 
 use super::parts::{Kind, Part};
-use super::plan::{FleetPlan, KeptTelemetry};
+use super::plan::{DatasetPlan, KeptTelemetry};
 use crate::extractor::FeaturePlan;
 use crate::noise::{FeatureSink, FeatureValues, Noise};
 use crate::simulate::Run;
@@ -19,7 +19,7 @@ pub struct Shared {
 }
 
 impl Shared {
-    pub fn new(plan: &FleetPlan, sequence: usize) -> Result<Self> {
+    pub fn new(plan: &DatasetPlan, sequence: usize) -> Result<Self> {
         let rows = plan.rows(sequence);
         let layout = |t: &KeptTelemetry| TelemetryLayout::new(t.stored, plan.sensors.is_some(), t.rate_hz);
         Ok(Self {
@@ -128,7 +128,13 @@ pub struct RunResult {
 
 impl RunSink {
     /// A sink for a run of a part.
-    pub fn new(plan: &FleetPlan, part: &Part, shared: &Shared, features: &Arc<FeaturePlan>, run: &Run) -> Result<Self> {
+    pub fn new(
+        plan: &DatasetPlan,
+        part: &Part,
+        shared: &Shared,
+        features: &Arc<FeaturePlan>,
+        run: &Run,
+    ) -> Result<Self> {
         let own = |rows: u64| {
             let model = plan.sensors.as_ref()?;
             Some(Arc::new(Noise::of_run(model, run.seed, rows)))

@@ -1,7 +1,7 @@
 //! A plan cut into parts: what one worker does at a time, the same whatever the number of shards.
 
 use super::draw::{random, seed};
-use super::plan::FleetPlan;
+use super::plan::DatasetPlan;
 use crate::simulate::{LANES, Run};
 use crate::test_bench::Lane;
 use rand::RngExt;
@@ -49,7 +49,7 @@ pub struct Part {
     pub file: usize,
 }
 
-impl FleetPlan {
+impl DatasetPlan {
     /// Runs of each actuator.
     pub fn runs_per_actuator(&self) -> u64 {
         self.groups().map(|g| g.3 as u64).sum()

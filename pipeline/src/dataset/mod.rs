@@ -8,20 +8,20 @@ pub mod maps;
 
 use anyhow::Result;
 use schemas::error::Error;
-use sim_worker::fleet::layout::features;
-use sim_worker::fleet::manifest::Manifest;
-use sim_worker::fleet::parts::{Kind, Part};
-use sim_worker::fleet::plan::FleetPlan;
-use sim_worker::fleet::storage::Storage;
-use sim_worker::fleet::tables::Table;
-use sim_worker::fleet::work::plan_of;
+use sim_worker::dataset::layout::features;
+use sim_worker::dataset::manifest::Manifest;
+use sim_worker::dataset::parts::{Kind, Part};
+use sim_worker::dataset::plan::DatasetPlan;
+use sim_worker::dataset::storage::Storage;
+use sim_worker::dataset::tables::Table;
+use sim_worker::dataset::work::plan_of;
 use sim_worker::noise::FeatureValues;
 use std::collections::BTreeMap;
 
 /// A finished fleet dataset.
 pub struct Dataset {
     pub storage: Storage,
-    pub plan: FleetPlan,
+    pub plan: DatasetPlan,
     pub manifest: Manifest,
     parts: Vec<Part>,
 }

@@ -1,9 +1,9 @@
 //! `ema plan` and `ema dataset`.
 
 use super::say;
-use crate::fleet::diagnose::{Diagnosed, by_own_maps, by_type};
-use crate::fleet::estimate::{estimate, to_json, to_text};
-use crate::fleet::{Dataset, copy, export, maps};
+use crate::dataset::diagnose::{Diagnosed, by_own_maps, by_type};
+use crate::dataset::estimate::{estimate, to_json, to_text};
+use crate::dataset::{Dataset, copy, export, maps};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::calibration::COVERAGE;
@@ -11,12 +11,12 @@ use diagnoser::failure_map::FailureMapSet;
 use diagnoser::map_library::Choice;
 use schemas::error::{EXIT_LOSS, Error};
 use serde_json::json;
-use sim_worker::fleet::merge::{Merged, merge};
-use sim_worker::fleet::plan::FleetPlan;
-use sim_worker::fleet::program::{end_when_interrupted, missing, missing_of, summary, work_shown};
-use sim_worker::fleet::shard::Shard;
-use sim_worker::fleet::storage::Storage;
-use sim_worker::fleet::verify::{discard, verify};
+use sim_worker::dataset::merge::{Merged, merge};
+use sim_worker::dataset::plan::DatasetPlan;
+use sim_worker::dataset::program::{end_when_interrupted, missing, missing_of, summary, work_shown};
+use sim_worker::dataset::shard::Shard;
+use sim_worker::dataset::storage::Storage;
+use sim_worker::dataset::verify::{discard, verify};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -31,7 +31,7 @@ pub struct PlanArgs {
 }
 
 pub fn plan(a: &PlanArgs) -> Result<ExitCode> {
-    let plan = FleetPlan::read(&a.plan)?;
+    let plan = DatasetPlan::read(&a.plan)?;
     let e = estimate(&plan)?;
     if a.json {
         say(&to_json(&plan, &e).to_string());
@@ -159,7 +159,7 @@ pub fn dataset(command: &DatasetCommand) -> Result<ExitCode> {
 }
 
 fn make(a: &MakeArgs, work: bool) -> Result<ExitCode> {
-    let plan = FleetPlan::read(&a.plan)?;
+    let plan = DatasetPlan::read(&a.plan)?;
     if let Some(n) = a.jobs {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
         pool.map_err(|e| Error::bad("command line", "--jobs", n, e.to_string()))?;
@@ -298,7 +298,7 @@ fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         None => by_own_maps(&d)?,
         Some(file) => {
             let choice = Choice {
-                spread: sim_worker::datasets::spread(&a.spread)?,
+                spread: sim_worker::catalogue::spread(&a.spread)?,
                 coverage: COVERAGE,
             };
             let file = if file.is_dir() {

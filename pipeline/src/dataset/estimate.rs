@@ -4,9 +4,9 @@ use anyhow::Result;
 use rayon::prelude::*;
 use schemas::channel::Channel;
 use serde_json::json;
-use sim_worker::fleet::parts::{Kind, Part};
-use sim_worker::fleet::plan::FleetPlan;
-use sim_worker::fleet::work::Bench;
+use sim_worker::dataset::parts::{Kind, Part};
+use sim_worker::dataset::plan::DatasetPlan;
+use sim_worker::dataset::work::Bench;
 use sim_worker::worker::Progress;
 use std::time::Instant;
 
@@ -33,7 +33,7 @@ pub struct Estimate {
 }
 
 /// Runs a block of each kind on every thread, and projects.
-pub fn estimate(plan: &FleetPlan) -> Result<Estimate> {
+pub fn estimate(plan: &DatasetPlan) -> Result<Estimate> {
     let parts = plan.parts();
     let bench = Bench::new(plan)?;
     let threads = rayon::current_num_threads();
@@ -129,7 +129,7 @@ fn names<'a>(list: impl Iterator<Item = &'a str>) -> String {
 }
 
 /// For people.
-pub fn to_text(plan: &FleetPlan, e: &Estimate) -> String {
+pub fn to_text(plan: &DatasetPlan, e: &Estimate) -> String {
     let mut lines: Vec<(&str, String)> = Vec::new();
     let some = names(plan.actuators.iter().take(3).map(|a| a.id.as_str()));
     let more = if e.actuators > 3 { ", ..." } else { "" };
@@ -220,7 +220,7 @@ pub fn to_text(plan: &FleetPlan, e: &Estimate) -> String {
 }
 
 /// For programs.
-pub fn to_json(plan: &FleetPlan, e: &Estimate) -> serde_json::Value {
+pub fn to_json(plan: &DatasetPlan, e: &Estimate) -> serde_json::Value {
     json!({
         "name": plan.name,
         "plan": plan.fingerprint(),

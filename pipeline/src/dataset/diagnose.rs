@@ -13,7 +13,7 @@ use schemas::error::Error;
 use schemas::fault::{FaultState, Interval};
 use schemas::feature::{Features, RawFeatures};
 use schemas::recording::table_bytes;
-use sim_worker::fleet::parts::Kind;
+use sim_worker::dataset::parts::Kind;
 use sim_worker::spread::{Cause, Spread};
 use std::sync::Arc;
 

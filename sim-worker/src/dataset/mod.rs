@@ -1,6 +1,6 @@
 //! Fleets: many actuators, each a little different, simulated by many workers into one dataset.
 //!
-//! A [`plan::FleetPlan`] is cut into [`parts::Part`]s, whose results depend on the plan alone. Workers put parts
+//! A [`plan::DatasetPlan`] is cut into [`parts::Part`]s, whose results depend on the plan alone. Workers put parts
 //! under fixed names, each once ([`work`]); [`merge`] compacts them and commits the [`manifest`] last;
 //! [`verify`] reads everything again.
 
