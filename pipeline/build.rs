@@ -23,7 +23,7 @@ fn main() {
         "schemas/src",
         "sim-worker/src",
         "diagnoser/src",
-        "pipeline/src/generate.rs",
+        "pipeline/src/dataset/maps.rs",
         "pipeline/src/maps.rs",
     ] {
         fold(&Path::new("..").join(part), &mut hash);

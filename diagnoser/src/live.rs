@@ -9,6 +9,7 @@ use schemas::channel::{Channel, ChannelSet};
 use schemas::feature::{Features, RawFeatures};
 use schemas::sequence::TestSequence;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
+use schemas::test_kind::TestKind;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use std::collections::{HashMap, VecDeque};
@@ -316,15 +317,7 @@ impl Live {
         if track.key.is_none()
             && let Some(rest) = x.rest_angle_rad()
         {
-            let run = &track.run;
-            let wish = MapKey::new(
-                &run.parameters,
-                &run.sequence,
-                &run.sensors,
-                run.rate_hz,
-                rest,
-                x.plan().equivalent_current(),
-            );
+            let wish = MapKey::new(track.run.kind(rest, x.plan().equivalent_current()));
             track.key = Some(wish.clone());
             if !self.maps.contains_key(&wish) {
                 self.trim_maps();
@@ -392,10 +385,12 @@ impl Live {
         let diagnosis = match (&track.extractor, &track.key) {
             (Some(x), Some(k)) => match self.maps.get(k) {
                 Some(Maps::Ready(diagnoser)) => {
-                    let load = track.run.load_n_m;
-                    let allowed = diagnoser.maps.header.load_n_m;
-                    if load != allowed && !load.is_nan() {
-                        lacking.push(format!("load torque {load} N m; the maps are for {allowed} N m"));
+                    let test = TestKind {
+                        load_n_m: track.run.load(),
+                        ..k.kind().clone()
+                    };
+                    if let Some(d) = test.difference(&diagnoser.maps.header.kind) {
+                        lacking.push(format!("{} {}; the maps are for {}", d.place, d.found, d.allowed));
                     }
                     lacking.extend(x.missing());
                     let features = diagnoser.maps.features(&x.features());

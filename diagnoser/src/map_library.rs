@@ -4,96 +4,75 @@ use crate::calibration::{COVERAGE, Calibration};
 use crate::diagnosis::{Diagnoser, Known};
 use crate::failure_map::{FailureMapSet, MapSetHeader};
 use schemas::error::{Error, Result};
+use schemas::test_kind::TestKind;
 use sim_worker::spread::Spread;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
+use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
-
-/// Saved maps serve rest angles that differ by no more than this [rad] (0.1 degrees).
-pub const REST_ANGLE_TOLERANCE_RAD: f64 = TAU / 3600.0;
 
 /// Rest angles come in counts of a 16 bit resolver.
 const COUNTS: f64 = 65_536.0;
 
 /// The nearest resolver count, in `0..2 pi` [rad].
 pub fn rounded_rest_angle(angle_rad: f64) -> f64 {
-    rest_angle_count(angle_rad) as f64 * (TAU / COUNTS)
+    let count = (angle_rad / (TAU / COUNTS)).round().rem_euclid(COUNTS);
+    count * (TAU / COUNTS)
 }
 
-/// Number of the nearest resolver count.
-fn rest_angle_count(angle_rad: f64) -> u32 {
-    (angle_rad / (TAU / COUNTS)).round().rem_euclid(COUNTS) as u32
-}
-
-/// What maps must be made for to serve a test.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct MapKey {
-    /// fingerprint of the actuator's parameters
-    pub parameters: String,
-    /// fingerprint of the sequence
-    pub sequence: String,
-    /// fingerprint of the sensor model, or `none`
-    pub sensors: String,
-    rate: u64,
-    rest_angle: u32,
-    /// P2 from i_eq, because the telemetry has no phase currents
-    pub equivalent_current: bool,
-}
+/// What maps must be made for to serve a test: its kind, the rest angle on a resolver count, whatever the load.
+#[derive(Clone, Debug)]
+pub struct MapKey(TestKind);
 
 impl MapKey {
-    /// * `rest_angle_rad` of the rotor, any turn
-    pub fn new(
-        parameters: &str,
-        sequence: &str,
-        sensors: &str,
-        rate_hz: f64,
-        rest_angle_rad: f64,
-        equivalent_current: bool,
-    ) -> Self {
-        Self {
-            parameters: parameters.into(),
-            sequence: sequence.into(),
-            sensors: sensors.into(),
-            rate: rate_hz.to_bits(),
-            rest_angle: rest_angle_count(rest_angle_rad),
-            equivalent_current,
-        }
+    /// The key of a test's maps.
+    pub fn new(test: TestKind) -> Self {
+        Self(TestKind {
+            rest_angle_rad: rounded_rest_angle(test.rest_angle_rad),
+            load_n_m: None,
+            ..test
+        })
     }
 
-    pub fn rate_hz(&self) -> f64 {
-        f64::from_bits(self.rate)
-    }
-
-    /// On a resolver count [rad].
-    pub fn rest_angle_rad(&self) -> f64 {
-        f64::from(self.rest_angle) * (TAU / COUNTS)
+    /// The tests that maps are wanted for; no load is named.
+    pub fn kind(&self) -> &TestKind {
+        &self.0
     }
 
     /// Whether maps with this header serve.
     pub fn is_served_by(&self, h: &MapSetHeader) -> bool {
-        let turn = (self.rest_angle_rad() - h.rest_angle_rad + PI).rem_euclid(TAU) - PI;
-        self.parameters == h.parameters
-            && self.sequence == h.sequence_fingerprint
-            && self.sensors == h.sensors
-            && (self.rate_hz() - h.rate_hz).abs() <= 1e-6 * h.rate_hz
-            && turn.abs() <= REST_ANGLE_TOLERANCE_RAD
-            && self.equivalent_current == h.equivalent_current
+        self.0.difference(&h.kind).is_none()
     }
 
     /// In words, for those who have to make them.
     pub fn describe(&self) -> String {
-        format!(
-            "parameters {}, sequence {}, {} Hz, sensors {}, rest angle {:.2} deg, P2 from {}",
-            self.parameters,
-            self.sequence,
-            self.rate_hz(),
-            self.sensors,
-            self.rest_angle_rad().to_degrees(),
-            if self.equivalent_current {
-                "i_eq"
-            } else {
-                "phase currents"
-            },
+        self.0.describe()
+    }
+
+    fn bits(&self) -> (&str, &str, &str, u64, u64, bool) {
+        let k = &self.0;
+        let (rate, angle) = (k.rate_hz.to_bits(), k.rest_angle_rad.to_bits());
+        (
+            &k.parameters,
+            &k.sequence,
+            &k.sensors,
+            rate,
+            angle,
+            k.equivalent_current,
         )
+    }
+}
+
+impl PartialEq for MapKey {
+    fn eq(&self, other: &Self) -> bool {
+        self.bits() == other.bits()
+    }
+}
+
+impl Eq for MapKey {}
+
+impl Hash for MapKey {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.bits().hash(state);
     }
 }
 

@@ -119,7 +119,10 @@ impl MapQuality {
             points.0, points.1
         );
         Self {
-            title: format!("{}, {} at {} Hz, {grid}, {spread}", h.actuator, h.sequence, h.rate_hz),
+            title: format!(
+                "{}, {} at {} Hz, {grid}, {spread}",
+                h.actuator, h.sequence, h.kind.rate_hz
+            ),
             reach: std::array::from_fn(|q| diagnoser.reach(q)),
             shapes: maps.iter().map(MapShape::of).collect(),
             sensitivity: maps.iter().map(|m| Sensitivity::of(diagnoser, m)).collect(),

@@ -1,7 +1,7 @@
 //! The campaign behind calibrated bands: simulated tests of random units with random faults, none of
 //! which the maps are made of.
 
-use crate::generate::COMMIT;
+use crate::COMMIT;
 use anyhow::Result;
 use diagnoser::calibration::{COVERAGE, Calibration, REFUSED_SCORE, uncalibrated};
 use diagnoser::diagnosis::{Diagnoser, Score};
@@ -14,13 +14,14 @@ use schemas::error::Error;
 use schemas::fault::FaultState;
 use schemas::feature::RawFeatures;
 use schemas::sequence::TestSequence;
-use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
+use sim_worker::extractor::FeatureExtractor;
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::progress::Progress;
 use sim_worker::sensor::SensorModel;
-use sim_worker::simulate::{Experiment, LANES, Run, simulate};
+use sim_worker::setup::TestSetup;
+use sim_worker::simulate::{LANES, Run, simulate};
 use sim_worker::spread::{Cause, Spread};
 use sim_worker::test_bench::Lane;
-use sim_worker::worker::Progress;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -44,67 +45,37 @@ impl Effort {
     };
 }
 
-/// How the tests that maps are for are made.
-#[derive(Clone, Debug)]
-pub struct TestKind {
-    pub actuator: Arc<ActuatorParameters>,
-    pub sequence: TestSequence,
-    pub sensors: Option<SensorModel>,
-    pub rate_hz: f64,
-    pub rest_angle_rad: f64,
-    pub load_n_m: f64,
-    pub equivalent_current: bool,
-}
-
-impl TestKind {
-    /// The kind that maps are for. Refuses actuator, sequence or sensors that are not theirs.
-    pub fn of(
-        file: &Path,
-        header: &MapSetHeader,
-        actuator: Arc<ActuatorParameters>,
-        sequence: TestSequence,
-        sensors: Option<SensorModel>,
-    ) -> Result<Self> {
-        let sensors_found = sensors.as_ref().map_or("none".into(), SensorModel::fingerprint);
-        let pairs = [
-            (
-                "parameter fingerprint",
-                &header.parameters,
-                actuator.fingerprint(),
-                "--actuator",
-            ),
-            (
-                "sequence fingerprint",
-                &header.sequence_fingerprint,
-                sequence.fingerprint(),
-                "--sequence",
-            ),
-            (
-                "fingerprint of the sensors",
-                &header.sensors,
-                sensors_found,
-                "--sensors",
-            ),
-        ];
-        for (place, found, wanted, option) in pairs {
-            if *found != wanted {
-                let allowed = format!("{wanted}; choose with {option}");
-                return Err(Error::bad(file.display().to_string(), place, found, allowed).into());
-            }
+/// The tests that maps are for, ready to be simulated. Refuses actuator, sequence or sensors that are not theirs.
+///
+/// * `file` of the maps, for messages
+pub fn setup_of(
+    file: &Path,
+    header: &MapSetHeader,
+    actuator: Arc<ActuatorParameters>,
+    sequence: TestSequence,
+    sensors: Option<SensorModel>,
+) -> Result<TestSetup> {
+    let kind = &header.kind;
+    let setup = TestSetup {
+        actuator,
+        sequence,
+        sensors,
+        rate_hz: kind.rate_hz,
+        rest_angle_rad: kind.rest_angle_rad,
+        load_n_m: kind.load_n_m.unwrap_or(0.0),
+        equivalent_current: kind.equivalent_current,
+    };
+    match setup.kind().difference(kind) {
+        None => Ok(setup),
+        Some(d) => {
+            let option = match d.place {
+                "parameter fingerprint" => "--actuator",
+                "sequence fingerprint" => "--sequence",
+                _ => "--sensors",
+            };
+            let allowed = format!("{}; choose with {option}", d.found);
+            Err(Error::bad(file.display().to_string(), d.place, d.allowed, allowed).into())
         }
-        Ok(Self {
-            actuator,
-            sequence,
-            sensors,
-            rate_hz: header.rate_hz,
-            rest_angle_rad: header.rest_angle_rad,
-            load_n_m: header.load_n_m,
-            equivalent_current: header.equivalent_current,
-        })
-    }
-
-    pub fn plan(&self) -> FeaturePlan {
-        FeaturePlan::new(&self.actuator, &self.sequence, self.rate_hz, self.equivalent_current)
     }
 }
 
@@ -139,11 +110,11 @@ pub fn draw_units(fsj: (f64, f64), zeta: (f64, f64), spread: &Spread, n: usize, 
 }
 
 /// Features of each unit's test, as its sensors give them. `Ok(None)` where it was interrupted.
-pub fn measure(kind: &TestKind, spread: &Spread, units: &[Unit], title: &str) -> Result<Option<Vec<RawFeatures>>> {
+pub fn measure(setup: &TestSetup, spread: &Spread, units: &[Unit], title: &str) -> Result<Option<Vec<RawFeatures>>> {
     let lanes = units.iter().map(|u| {
-        let (actuator, rest_angle_rad) = spread.unit(&kind.actuator, kind.rest_angle_rad, &u.draw);
+        let (actuator, rest_angle_rad) = spread.unit(&setup.actuator, setup.rest_angle_rad, &u.draw);
         let actuator = if spread.is_none() {
-            kind.actuator.clone()
+            setup.actuator.clone()
         } else {
             Arc::new(actuator)
         };
@@ -151,20 +122,18 @@ pub fn measure(kind: &TestKind, spread: &Spread, units: &[Unit], title: &str) ->
             actuator,
             fault: u.fault,
             rest_angle_rad,
-            load_n_m: kind.load_n_m,
+            load_n_m: setup.load_n_m,
         };
         (lane, u.seed)
     });
-    simulate_features(kind, lanes.collect(), title)
+    simulate_features(setup, lanes.collect(), title)
 }
 
 /// Features of tests in the given lanes with the given noise seeds. `Ok(None)` where it was
 /// interrupted.
-pub fn simulate_features(kind: &TestKind, lanes: Vec<(Lane, u64)>, title: &str) -> Result<Option<Vec<RawFeatures>>> {
-    let plan = Arc::new(kind.plan());
-    let (sequence, sensors) = (kind.sequence.clone(), kind.sensors.clone());
-    let step = kind.actuator.step_s;
-    let experiment = Experiment::new(sequence, kind.rate_hz, plan.channels(), sensors, step)?;
+pub fn simulate_features(setup: &TestSetup, lanes: Vec<(Lane, u64)>, title: &str) -> Result<Option<Vec<RawFeatures>>> {
+    let plan = Arc::new(setup.feature_plan());
+    let experiment = setup.experiment(plan.channels())?;
     let runs: Vec<Run> = lanes
         .into_iter()
         .zip(0..)
@@ -201,7 +170,7 @@ impl Campaign {
     ///
     /// * `fsj`, `zeta` range of the maps
     pub fn run(
-        kind: &TestKind,
+        setup: &TestSetup,
         spread: &Spread,
         effort: Effort,
         fsj: (f64, f64),
@@ -216,7 +185,7 @@ impl Campaign {
             (effort.runs, seeds[1], "calibration"),
         ] {
             let units = draw_units(fsj, zeta, spread, n, seed);
-            let Some(measured) = measure(kind, spread, &units, title)? else {
+            let Some(measured) = measure(setup, spread, &units, title)? else {
                 return Ok(None);
             };
             parts.push((units, measured));
@@ -297,8 +266,13 @@ pub fn range(set: &FailureMapSet) -> ((f64, f64), (f64, f64)) {
 }
 
 /// Calibrates maps for a spread. `Ok(None)` where it was interrupted.
-pub fn calibrate(set: &FailureMapSet, kind: &TestKind, spread: &Spread, effort: Effort) -> Result<Option<Calibration>> {
+pub fn calibrate(
+    set: &FailureMapSet,
+    setup: &TestSetup,
+    spread: &Spread,
+    effort: Effort,
+) -> Result<Option<Calibration>> {
     let (fsj, zeta) = range(set);
-    let campaign = Campaign::run(kind, spread, effort, fsj, zeta)?;
+    let campaign = Campaign::run(setup, spread, effort, fsj, zeta)?;
     campaign.map(|c| c.calibrate(set)).transpose()
 }

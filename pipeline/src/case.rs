@@ -1,6 +1,5 @@
 //! Diagnosis of one recording, offline: the same extractor, maps and inversion that fly.
 
-use crate::calibrate::TestKind;
 use crate::input::{self, Measured};
 use crate::maps::{self, MapRequest};
 use anyhow::Result;
@@ -12,10 +11,11 @@ use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
 use schemas::feature::{Feature, Features, RawFeatures};
-use schemas::sequence::TestSequence;
+use schemas::test_kind::TestKind;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;
+use sim_worker::setup::TestSetup;
 use sim_worker::spread::Cause;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,7 +23,8 @@ use std::sync::Arc;
 /// How to diagnose.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    pub actuator: Arc<ActuatorParameters>,
+    /// the one that the recording brings, else the reference, if `None`
+    pub actuator: Option<Arc<ActuatorParameters>>,
     /// folder with `maps.parquet`; the cache if `None`
     pub maps: Option<PathBuf>,
     pub run: Option<u64>,
@@ -38,12 +39,21 @@ pub struct Settings {
     pub known: Vec<String>,
 }
 
+impl Settings {
+    /// The actuator that a recording is taken for.
+    pub fn actuator_of(&self, m: &Measured) -> Arc<ActuatorParameters> {
+        let own = || m.setup.as_ref().map(|s| s.actuator.clone());
+        let named = self.actuator.clone().or_else(own);
+        named.unwrap_or_else(|| Arc::new(ActuatorParameters::reference()))
+    }
+}
+
 /// A diagnosed recording.
 pub struct Case {
     pub measured: Measured,
     pub raw: RawFeatures,
-    /// the kind of test that it is
-    pub kind: TestKind,
+    /// the test that it is
+    pub setup: TestSetup,
     pub diagnosis: Diagnosis,
     pub diagnoser: Diagnoser,
 }
@@ -59,6 +69,9 @@ pub fn extract(m: &Measured, plan: Arc<FeaturePlan>) -> FeatureExtractor {
 pub fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> {
     if settings.sensors != "auto" {
         return Ok(sim_worker::catalogue::sensors(&settings.sensors)?);
+    }
+    if let Some(setup) = &m.setup {
+        return Ok(setup.sensors.clone());
     }
     let reference = sim_worker::catalogue::sensors("reference")?;
     if m.sensors == "none" {
@@ -77,30 +90,45 @@ pub fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Opti
     Ok(reference.filter(|r| !m.sensors.is_empty() || input::is_quantised(m, r)))
 }
 
-fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence, rest: f64) -> Result<Diagnoser> {
-    let equivalent_current = [Channel::IA, Channel::IB, Channel::IC]
-        .iter()
-        .any(|c| m.telemetry.column(*c).is_none());
+/// Maps for a recording: from the cache, or those of `--maps`.
+fn chosen_maps(path: &Path, m: &Measured, s: &Settings, setup: &TestSetup) -> Result<Diagnoser> {
     // the resolver knows the angle: where it is a cause of spread it is a known one
     let known = |maps_rest_rad: f64| -> Result<Known> {
-        let mut known = parse_known(&s.known, &s.actuator, maps_rest_rad)?;
+        let mut known = parse_known(&s.known, &setup.actuator, maps_rest_rad)?;
         let cause = Cause::RestAngle;
         if s.choice.spread.half_width[cause as usize] > 0.0 && !known.iter().any(|(c, _)| *c == cause) {
-            known.push((cause, cause.deviation(&s.actuator, maps_rest_rad, rest)));
+            known.push((
+                cause,
+                cause.deviation(&setup.actuator, maps_rest_rad, setup.rest_angle_rad),
+            ));
         }
         Ok(known)
     };
+    // what the file says of itself
+    let recorded = TestKind {
+        parameters: m.parameters.clone(),
+        load_n_m: m.load_n_m,
+        ..setup.kind()
+    };
+    let bad =
+        |place: &str, found: String, allowed: String| Error::bad(path.display().to_string(), place, found, allowed);
     let Some(dir) = &s.maps else {
-        let request = MapRequest {
-            actuator: s.actuator.clone(),
-            sequence: sequence.clone(),
-            rate_hz: m.rate_hz,
-            sensors: sensors_of(path, m, s)?,
-            rest_angle_rad: map_library::rounded_rest_angle(rest),
-            equivalent_current,
-            grid: s.grid.clone(),
+        let setup = TestSetup {
+            rest_angle_rad: map_library::rounded_rest_angle(setup.rest_angle_rad),
+            load_n_m: 0.0,
+            ..setup.clone()
         };
-        return maps::cached(&request, &s.choice, &known(request.rest_angle_rad)?);
+        if let Some(d) = recorded.difference(&setup.kind()) {
+            let more = if d.place == "parameter fingerprint" {
+                format!("(actuator `{}`; choose with --actuator)", setup.actuator.name)
+            } else {
+                "(of maps made on first use; --maps chooses others)".into()
+            };
+            return Err(bad(d.place, d.found, format!("{} {more}", d.allowed)).into());
+        }
+        let known = known(setup.rest_angle_rad)?;
+        let grid = s.grid.clone();
+        return maps::cached(&MapRequest { setup, grid }, &s.choice, &known);
     };
     let file = if dir.is_dir() {
         dir.join("maps.parquet")
@@ -108,53 +136,17 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, sequence: &TestSequence,
         dir.clone()
     };
     let set = FailureMapSet::load(&file)?;
-    let h = &set.header;
-    let bad = |place: &str, found: String, allowed: String| -> anyhow::Error {
-        Error::bad(
-            path.display().to_string(),
-            place,
-            found,
-            format!("{allowed} (of {})", file.display()),
-        )
-        .into()
-    };
-    if !m.parameters.is_empty() && m.parameters != h.parameters {
-        return Err(bad("parameter fingerprint", m.parameters.clone(), h.parameters.clone()));
+    let maps = &set.header.kind;
+    let of_maps = |allowed: String| format!("{allowed} (of {})", file.display());
+    if let Some(d) = recorded.difference(maps) {
+        return Err(bad(d.place, d.found, of_maps(d.allowed)).into());
     }
-    if s.actuator.fingerprint() != h.parameters {
-        let place = format!("parameters of actuator `{}`", s.actuator.name);
-        return Err(bad(&place, s.actuator.fingerprint(), h.parameters.clone()));
+    let own = setup.actuator.fingerprint();
+    if own != maps.parameters {
+        let place = format!("parameters of actuator `{}`", setup.actuator.name);
+        return Err(bad(&place, own, of_maps(maps.parameters.clone())).into());
     }
-    if sequence.fingerprint() != h.sequence_fingerprint {
-        return Err(bad("sequence", sequence.name.clone(), h.sequence.clone()));
-    }
-    if (m.rate_hz - h.rate_hz).abs() > 1e-6 * h.rate_hz {
-        return Err(bad("rate [Hz]", m.rate_hz.to_string(), h.rate_hz.to_string()));
-    }
-    let d = (rest - h.rest_angle_rad + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
-    if d.abs() > map_library::REST_ANGLE_TOLERANCE_RAD {
-        let deg = |a: f64| format!("{:.2}", a.to_degrees());
-        return Err(bad(
-            "rotor angle at rest [deg]",
-            deg(rest),
-            format!("{} +- 0.1", deg(h.rest_angle_rad)),
-        ));
-    }
-    if equivalent_current != h.equivalent_current {
-        let what = |e: bool| {
-            if e {
-                "i_eq only".to_string()
-            } else {
-                "phase currents".to_string()
-            }
-        };
-        return Err(bad("currents", what(equivalent_current), what(h.equivalent_current)));
-    }
-    let sensors = sensors_of(path, m, s)?.map_or("none".to_string(), |x| x.fingerprint());
-    if sensors != h.sensors {
-        return Err(bad("sensors", sensors, h.sensors.clone()));
-    }
-    let known = known(h.rest_angle_rad)?;
+    let known = known(maps.rest_angle_rad)?;
     Ok(s.choice.ready(&file, set, &known)?)
 }
 
@@ -165,35 +157,27 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         let allowed = format!("a steady rate of at least {} Hz", LOWEST_RATE_HZ);
         return Err(Error::bad(path.display().to_string(), "rate [Hz]", measured.rate_hz, allowed).into());
     }
-    let a = &settings.actuator;
-    if settings.maps.is_none() && !measured.parameters.is_empty() && measured.parameters != a.fingerprint() {
-        let allowed = format!("{} (actuator `{}`; choose with --actuator)", a.fingerprint(), a.name);
-        let file = path.display().to_string();
-        return Err(Error::bad(file, "parameter fingerprint", &measured.parameters, allowed).into());
-    }
-    let sequence = input::recognise(path, &measured, settings.sequence.as_deref(), a.step_s)?;
+    let actuator = settings.actuator_of(&measured);
+    let sequence = match &measured.setup {
+        Some(s) if settings.sequence.is_none() => s.sequence.clone(),
+        _ => input::recognise(path, &measured, settings.sequence.as_deref(), actuator.step_s)?,
+    };
     // the rotor angle at rest is that of the first sample of the test, if it is there
     let begins = measured.telemetry.first == 1;
-    let first = measured
-        .telemetry
-        .column(Channel::ThetaM)
-        .filter(|_| begins)
-        .map_or(0.0, |t| t[0]);
-    let diagnoser = chosen_maps(
-        path,
-        &measured,
-        settings,
-        &sequence,
-        first.rem_euclid(std::f64::consts::TAU),
-    )?;
+    let angles = measured.telemetry.column(Channel::ThetaM).filter(|_| begins);
+    let phases = [Channel::IA, Channel::IB, Channel::IC];
+    let mut setup = TestSetup {
+        actuator,
+        sequence,
+        sensors: sensors_of(path, &measured, settings)?,
+        rate_hz: measured.rate_hz,
+        rest_angle_rad: angles.map_or(0.0, |t| t[0]).rem_euclid(std::f64::consts::TAU),
+        load_n_m: 0.0,
+        equivalent_current: phases.iter().any(|c| measured.telemetry.column(*c).is_none()),
+    };
+    let diagnoser = chosen_maps(path, &measured, settings, &setup)?;
     let maps = &diagnoser.maps;
-    let load = measured.load_n_m.unwrap_or(maps.header.load_n_m);
-    if load != maps.header.load_n_m {
-        let allowed = format!("{} (of the maps; --maps chooses others)", maps.header.load_n_m);
-        return Err(Error::bad(path.display().to_string(), "load torque [N m]", load, allowed).into());
-    }
-    let plan = FeaturePlan::new(a, &sequence, measured.rate_hz, maps.header.equivalent_current);
-    let x = extract(&measured, Arc::new(plan));
+    let x = extract(&measured, Arc::new(setup.feature_plan()));
     let raw = x.features();
     let mut diagnosis = diagnoser.diagnose(&maps.features(&raw), &x.missing());
     if !begins {
@@ -206,20 +190,12 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         // nothing nominal is known at an unknown angle
         diagnosis.features = Features::over(&raw, &RawFeatures::default());
     }
-    let header = &diagnoser.maps.header;
-    let kind = TestKind {
-        actuator: a.clone(),
-        sensors: sensors_of(path, &measured, settings)?,
-        rate_hz: measured.rate_hz,
-        rest_angle_rad: header.rest_angle_rad,
-        load_n_m: header.load_n_m,
-        equivalent_current: header.equivalent_current,
-        sequence,
-    };
+    setup.rest_angle_rad = maps.header.kind.rest_angle_rad;
+    setup.load_n_m = maps.header.kind.load_n_m.unwrap_or(0.0);
     Ok(Case {
         measured,
         raw,
-        kind,
+        setup,
         diagnosis,
         diagnoser,
     })
@@ -302,7 +278,7 @@ pub fn to_text(case: &Case) -> String {
         }
     }
     let h = &case.diagnoser.maps.header;
-    let sensors = if h.sensors == "none" {
+    let sensors = if h.kind.sensors == "none" {
         "noise free"
     } else {
         "with sensor model (assumed)"
@@ -311,8 +287,8 @@ pub fn to_text(case: &Case) -> String {
         "maps      actuator {}, {} at {} Hz, rest angle {:.1} deg, {sensors}",
         h.actuator,
         h.sequence,
-        h.rate_hz,
-        h.rest_angle_rad.to_degrees()
+        h.kind.rate_hz,
+        h.kind.rest_angle_rad.to_degrees()
     ));
     for l in &h.left_out {
         out += &format!("left out  {l}\n");

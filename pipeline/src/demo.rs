@@ -1,8 +1,9 @@
 //! `ema demo`: grid, maps, the four cases of the paper's Table I, and a report.
 
-use crate::calibrate::{Effort, TestKind};
+use crate::COMMIT;
+use crate::calibrate::Effort;
 use crate::case::{self, Settings};
-use crate::generate::{COMMIT, Plan, generate};
+use crate::dataset::Dataset;
 use crate::maps;
 use crate::report::{self, Figure, Report, Section, Table, TableRow};
 use crate::report_pages;
@@ -15,11 +16,15 @@ use schemas::channel::{Channel, ChannelSet};
 use schemas::fault::FaultState;
 use schemas::recording::Recorder;
 use schemas::telemetry::{Collector, TelemetryBuffer, TelemetrySink};
+use sim_worker::dataset::one::OneActuator;
+use sim_worker::dataset::plan::DatasetPlan;
+use sim_worker::dataset::storage::Storage;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::monitor::MonitorTrack;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::{SensorNoise, Sensors};
-use sim_worker::simulate::{Experiment, Run, simulate};
+use sim_worker::setup::TestSetup;
+use sim_worker::simulate::{Run, simulate};
 use sim_worker::test_bench::Lane;
 use std::path::Path;
 use std::sync::Arc;
@@ -63,7 +68,7 @@ pub fn statistics(
     seeds: u64,
 ) -> CaseStatistics {
     let set = &diagnoser.maps;
-    let rest_angle_rad = set.header.rest_angle_rad;
+    let rest_angle_rad = set.header.kind.rest_angle_rad;
     let results: Vec<(f64, f64, bool, f64, f64)> = (0..seeds)
         .into_par_iter()
         .map(|seed| {
@@ -118,40 +123,29 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     let sequence = sim_worker::catalogue::sequence("preflight")?;
     let sensors = sim_worker::catalogue::sensors("reference")?.expect("built in");
     let channels = ChannelSet::basic();
-    let experiment = Experiment::new(
-        sequence.clone(),
-        10_000.0,
-        channels,
-        Some(sensors.clone()),
-        actuator.step_s,
-    )?;
-    let plan = Plan {
-        actuator: actuator.clone(),
-        grid: sim_worker::catalogue::grid(grid)?,
-        rest_angles_rad: vec![0.0],
-        load_n_m: 0.0,
-        experiment: experiment.clone(),
-        seed: 0,
-        keep_telemetry: false,
-        keep_features: true,
-        equivalent_current: false,
+    let setup = TestSetup {
+        sensors: Some(sensors.clone()),
+        ..TestSetup::new(actuator.clone(), sequence.clone(), 10_000.0)
     };
+    let grid = sim_worker::catalogue::grid(grid)?;
+    let plan = DatasetPlan::of_one(&OneActuator {
+        setup: &setup,
+        grid: &grid,
+        rest_angles_rad: &[],
+        seed: 0,
+        telemetry: None,
+    })?;
     let dataset = out.join("dataset");
-    let runs = plan.runs().len();
-    let steps = generate(&plan, &dataset, "grid")?.ok_or(crate::Interrupted)?;
-    let grid_s = begin.elapsed().as_secs_f64();
-    let set = maps::build(&dataset, &sequence, &actuator, false, None, false)?;
+    let runs = plan.runs();
+    let storage = Storage::open(&dataset.display().to_string())?;
+    let (done, _) = crate::dataset::make(&plan, &storage, "grid")?.ok_or(crate::Interrupted)?;
+    let (steps, grid_s) = (done.steps, begin.elapsed().as_secs_f64());
+    let set = crate::dataset::maps::of_one(&Dataset::of(storage)?, false)?;
     let maps_file = dataset.join("maps.parquet");
     set.save(&maps_file)?;
-    let kind = TestKind::of(
-        &maps_file,
-        &set.header,
-        actuator.clone(),
-        sequence.clone(),
-        Some(sensors.clone()),
-    )?;
+    let experiment = setup.experiment(channels)?;
     let choice = Choice::usual();
-    let diagnoser = maps::calibrated(&maps_file, set, &kind, &choice, &Vec::new())?;
+    let diagnoser = maps::calibrated(&maps_file, set, &setup, &choice, &Vec::new())?;
     let set = &diagnoser.maps;
 
     // the cases: simulated noise free once, recorded through the sensors
@@ -180,12 +174,12 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
     let feature_plan = Arc::new(FeaturePlan::new(&actuator, &sequence, experiment.rate_hz, false));
 
     let settings = Settings {
-        actuator: actuator.clone(),
+        actuator: Some(actuator.clone()),
         maps: Some(dataset.clone()),
         run: None,
         sequence: None,
         sensors: "auto".into(),
-        grid: plan.grid.clone(),
+        grid: grid.clone(),
         choice: choice.clone(),
         known: Vec::new(),
     };
@@ -201,7 +195,7 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
         let truth = FaultState { fsj, zeta };
         let path = cases_dir.join(format!("case_{}.parquet", i + 1));
         let seed = 1000 + i as u64;
-        record(&path, &plan, &collected[i], seed)?;
+        record(&path, &setup, &collected[i], seed)?;
         let c = case::run(&path, &settings)?;
         let s = statistics(&collected[i], truth, &diagnoser, &feature_plan, &sensors, seeds);
         let area = c.diagnosis.outcome.area();
@@ -344,8 +338,8 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
         summary: format!(
             "{runs} runs of the 3 s pre-flight test ({} x {} faults) became {} failure maps; the paper's four cases were \
              diagnosed from recordings with sensor noise.",
-            plan.grid.fsj.len(),
-            plan.grid.zeta.len(),
+            grid.fsj.len(),
+            grid.zeta.len(),
             set.maps.len()
         ),
         facts: vec![
@@ -400,24 +394,19 @@ pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<(
 }
 
 /// Writes a simulated run through the sensors as a recording.
-fn record(path: &Path, plan: &Plan, run: &Collector, seed: u64) -> Result<()> {
-    let sensors = plan.experiment.sensors.as_ref().expect("the demo has sensors");
+fn record(path: &Path, setup: &TestSetup, run: &Collector, seed: u64) -> Result<()> {
+    let sensors = setup.sensors.as_ref().expect("the demo has sensors");
     let noise = SensorNoise::new(seed, run.rows());
     let s = Sensors {
         model: sensors,
         noise: &noise,
-        gear_ratio: plan.actuator.gear_ratio,
+        gear_ratio: setup.actuator.gear_ratio,
         rest_angle_rad: 0.0,
     };
     let channels = ChannelSet::basic();
     let mut out = TelemetryBuffer::new(channels, run.rows());
     s.measure(&run.view(), &mut out);
-    let provenance = schemas::recording::Provenance {
-        seed,
-        grid: String::new(),
-        ..plan.provenance()
-    };
-    let mut recorder = Recorder::create(path, &provenance, channels, true)?;
+    let mut recorder = Recorder::create(path, &setup.provenance(seed, COMMIT), channels, true)?;
     let header = run.header.clone().expect("a run that was collected");
     let header = schemas::telemetry::TelemetryHeader {
         channels,

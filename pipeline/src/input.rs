@@ -1,12 +1,16 @@
-//! Telemetry from outside: the project's Parquet and plain CSV, checked row by row.
+//! Telemetry from outside: the project's Parquet, plain CSV, a run of a dataset, checked row by row.
 
+use crate::dataset::Dataset;
+use crate::dataset::export::KeptRun;
 use anyhow::{Result, bail};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::Error;
+use schemas::recording::Provenance;
 use schemas::sequence::TestSequence;
 use schemas::telemetry::{Collector, TelemetryBuffer, TelemetryHeader, TelemetrySink};
 use sim_worker::command::CommandTrack;
 use sim_worker::sensor::SensorModel;
+use sim_worker::setup::TestSetup;
 use std::io::Read;
 use std::path::Path;
 
@@ -24,6 +28,13 @@ pub struct Measured {
     pub sensors: String,
     /// constant load of a simulated run [N m, motor side]
     pub load_n_m: Option<f64>,
+    /// all of the test, where the recording is a run of a dataset
+    pub setup: Option<TestSetup>,
+}
+
+/// A dataset, rather than a file: a folder, or a URL.
+pub fn is_dataset(path: &Path) -> bool {
+    path.is_dir() || path.to_str().is_some_and(|t| t.contains("://"))
 }
 
 /// The runs of a file: their numbers, or `None` for the one of a CSV file.
@@ -41,6 +52,16 @@ pub fn runs(path: &Path) -> Result<Vec<Option<u64>>> {
             }
             Ok(())
         }
+    }
+    if is_dataset(path) {
+        let d = Dataset::open(&path.display().to_string())?;
+        let kept = d
+            .plan
+            .parts()
+            .into_iter()
+            .filter(|p| p.telemetry)
+            .flat_map(|p| p.runs.clone());
+        return Ok(kept.map(Some).collect());
     }
     if !is_parquet(path)? {
         return Ok(vec![None]);
@@ -65,9 +86,11 @@ fn is_parquet(path: &Path) -> Result<bool> {
     Ok(&magic == b"PAR1" || path.extension().is_some_and(|e| e == "parquet"))
 }
 
-/// Opens a `.parquet` or `.csv` file; `run` chooses one of several in a Parquet file.
+/// Opens a `.parquet` or `.csv` file, or a run of a dataset; `run` chooses one of several.
 pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
-    let m = if is_parquet(path)? {
+    let m = if is_dataset(path) {
+        open_dataset(path, run)?
+    } else if is_parquet(path)? {
         open_parquet(path, run)?
     } else {
         open_csv(path)?
@@ -98,6 +121,30 @@ impl TelemetrySink for OneRun {
     }
 }
 
+fn open_dataset(path: &Path, run: Option<u64>) -> Result<Measured> {
+    let d = Dataset::open(&path.display().to_string())?;
+    let kept = KeptRun::open(&d, run)?;
+    let mut telemetry = Collector::default();
+    kept.replay(&mut telemetry)?;
+    Ok(Measured::of(telemetry, kept.provenance.clone(), Some(kept.setup())))
+}
+
+impl Measured {
+    /// What a file says of itself, and its samples.
+    fn of(telemetry: Collector, p: Provenance, setup: Option<TestSetup>) -> Self {
+        Self {
+            telemetry,
+            rate_hz: p.rate_hz,
+            parameters: p.parameters,
+            sequence: p.sequence,
+            sequence_fingerprint: p.sequence_fingerprint,
+            sensors: p.sensors,
+            load_n_m: (p.model != "measured").then_some(p.load_n_m),
+            setup,
+        }
+    }
+}
+
 fn open_parquet(path: &Path, run: Option<u64>) -> Result<Measured> {
     let r = schemas::recording::Recording::open(path)?;
     let mut one = OneRun {
@@ -115,16 +162,7 @@ fn open_parquet(path: &Path, run: Option<u64>) -> Result<Measured> {
         let found = run.map_or("no rows".to_string(), |r| format!("no run {r}"));
         return Err(Error::bad(file, "file", found, format!("one of the runs {:?}", one.seen)).into());
     }
-    let p = r.provenance;
-    Ok(Measured {
-        telemetry: one.collector,
-        rate_hz: p.rate_hz,
-        parameters: p.parameters,
-        sequence: p.sequence,
-        sequence_fingerprint: p.sequence_fingerprint,
-        sensors: p.sensors,
-        load_n_m: (p.model != "measured").then_some(p.load_n_m),
-    })
+    Ok(Measured::of(one.collector, r.provenance, None))
 }
 
 fn open_csv(path: &Path) -> Result<Measured> {
@@ -262,6 +300,7 @@ fn open_csv(path: &Path) -> Result<Measured> {
         sequence_fingerprint: String::new(),
         sensors: String::new(),
         load_n_m: None,
+        setup: None,
     })
 }
 

@@ -7,7 +7,6 @@ pub mod cli;
 pub mod dataset;
 pub mod demo;
 pub mod discrepancy;
-pub mod generate;
 pub mod input;
 pub mod maps;
 pub mod output;
@@ -19,6 +18,9 @@ pub mod report_pages;
 pub mod speed;
 
 pub use sim_worker::progress;
+
+/// Source revision of this program, for people.
+pub const COMMIT: &str = env!("EMA_COMMIT");
 
 /// Long work was stopped by Ctrl-C; what is done is kept.
 #[derive(Debug, thiserror::Error)]

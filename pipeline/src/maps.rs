@@ -1,72 +1,44 @@
-//! The map builder: features of a dataset, read with polars, become failure maps.
+//! Features of a fault grid become failure maps; maps made on first use are kept.
 
-use crate::calibrate::{Effort, TestKind, calibrate};
-use crate::generate::{Plan, generate};
+use crate::calibrate::{Effort, calibrate};
+use crate::dataset::{self, Dataset};
 use crate::progress::note;
 use anyhow::Result;
 use diagnoser::diagnosis::{Diagnoser, Known};
 use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
-use diagnoser::map_library::{Choice, REST_ANGLE_TOLERANCE_RAD};
-use polars::prelude::*;
-use schemas::channel::ChannelSet;
+use diagnoser::map_library::Choice;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
 use schemas::feature::{Feature, Features, RawFeatures};
-use schemas::recording::{Provenance, metadata};
+use schemas::fingerprint::fingerprint;
 use schemas::sequence::{Command, TestSequence};
-use sim_worker::parameters::ActuatorParameters;
-use sim_worker::sensor::SensorModel;
-use sim_worker::simulate::Experiment;
+use sim_worker::dataset::one::OneActuator;
+use sim_worker::dataset::plan::DatasetPlan;
+use sim_worker::dataset::storage::Storage;
+use sim_worker::setup::TestSetup;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+
+/// Hash of the sources that saved maps depend on beyond the features that they are made of.
+const SOURCE: &str = env!("EMA_SOURCE");
 
 /// What maps are made for.
 #[derive(Clone, Debug)]
 pub struct MapRequest {
-    pub actuator: Arc<ActuatorParameters>,
-    pub sequence: TestSequence,
-    pub rate_hz: f64,
-    pub sensors: Option<SensorModel>,
-    pub rest_angle_rad: f64,
-    pub equivalent_current: bool,
+    /// the tests
+    pub setup: TestSetup,
+    /// fault pairs that are simulated
     pub grid: FaultGrid,
 }
 
 impl MapRequest {
-    /// The kind of tests that the maps are for.
-    pub fn kind(&self) -> TestKind {
-        TestKind {
-            actuator: self.actuator.clone(),
-            sequence: self.sequence.clone(),
-            sensors: self.sensors.clone(),
-            rate_hz: self.rate_hz,
-            rest_angle_rad: self.rest_angle_rad,
-            load_n_m: 0.0,
-            equivalent_current: self.equivalent_current,
-        }
-    }
-
-    fn plan(&self) -> Result<Plan> {
-        let step = self.actuator.step_s;
-        let channels = ChannelSet::basic();
-        let experiment = Experiment::new(
-            self.sequence.clone(),
-            self.rate_hz,
-            channels,
-            self.sensors.clone(),
-            step,
-        )?;
-        Ok(Plan {
-            actuator: self.actuator.clone(),
-            grid: self.grid.clone(),
-            rest_angles_rad: vec![self.rest_angle_rad],
-            load_n_m: 0.0,
-            experiment,
+    fn plan(&self) -> Result<DatasetPlan> {
+        Ok(DatasetPlan::of_one(&OneActuator {
+            setup: &self.setup,
+            grid: &self.grid,
+            rest_angles_rad: &[],
             seed: 0,
-            keep_telemetry: false,
-            keep_features: true,
-            equivalent_current: self.equivalent_current,
-        })
+            telemetry: None,
+        })?)
     }
 }
 
@@ -83,16 +55,17 @@ pub fn cache_dir() -> PathBuf {
 ///
 /// * `known` of the unit, as on the command line
 pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Diagnoser> {
-    let dir = cache_dir().join("maps").join(request.plan()?.fingerprint());
+    let key = fingerprint(&format!("{};{SOURCE}", request.plan()?.fingerprint()));
+    let dir = cache_dir().join("maps").join(key);
     let set = made(&dir, request)?;
-    calibrated(&dir.join("maps.parquet"), set, &request.kind(), choice, known)
+    calibrated(&dir.join("maps.parquet"), set, &request.setup, choice, known)
 }
 
 /// Saved maps made ready, calibrated quickly where there is no calibration beside them that can be used.
 pub fn calibrated(
     file: &Path,
     set: FailureMapSet,
-    kind: &TestKind,
+    setup: &TestSetup,
     choice: &Choice,
     known: &Known,
 ) -> Result<Diagnoser> {
@@ -107,71 +80,32 @@ pub fn calibrated(
             "calibrating the maps ({n} runs, spread {})",
             choice.spread.name
         ));
-        let made = calibrate(&set, kind, &choice.spread, Effort::QUICK)?.ok_or(crate::Interrupted)?;
+        let made = calibrate(&set, setup, &choice.spread, Effort::QUICK)?.ok_or(crate::Interrupted)?;
         made.save(&choice.calibration_file(file))?;
     }
     Ok(choice.ready(file, set, known)?)
 }
 
-/// Maps for a request from a folder, made there on first use.
+/// Maps for a request from a folder, made there on first use: beside the dataset that they come from.
 pub fn made(dir: &Path, request: &MapRequest) -> Result<FailureMapSet> {
-    let plan = request.plan()?;
     let file = dir.join("maps.parquet");
     if let Ok(set) = FailureMapSet::load(&file) {
         return Ok(set);
     }
-    let n = plan.runs().len();
-    note(&format!("making failure maps ({n} runs, kept in {})", dir.display()));
-    loop {
-        match generate(&plan, dir, "maps") {
-            Ok(Some(_)) => break,
-            Ok(None) => return Err(crate::Interrupted.into()),
-            // somebody else is making the same maps: wait for them
-            Err(Error::Io { what: "is in use", .. }) if !crate::progress::interrupted() => {
-                std::thread::sleep(std::time::Duration::from_millis(200));
-                if let Ok(set) = FailureMapSet::load(&file) {
-                    return Ok(set);
-                }
-            }
-            Err(e) => return Err(e.into()),
-        }
-    }
-    let set = build(
-        dir,
-        &request.sequence,
-        &request.actuator,
-        request.equivalent_current,
-        None,
-        true,
-    )?;
+    let plan = request.plan()?;
+    note(&format!(
+        "making failure maps ({} runs, kept in {})",
+        plan.runs(),
+        dir.display()
+    ));
+    let storage = Storage::open(&dir.display().to_string())?;
+    dataset::make(&plan, &storage, "maps")?.ok_or(crate::Interrupted)?;
+    let set = dataset::maps::of_one(&Dataset::of(storage)?, true)?;
     for l in &set.header.left_out {
         note(&format!("left out: {l}"));
     }
     set.save(&file)?;
     Ok(set)
-}
-
-/// A path that polars takes as a pattern only where it is meant as one.
-pub fn scan(pattern: &Path) -> Result<LazyFrame> {
-    let path = PlRefPath::new(pattern.to_string_lossy());
-    LazyFrame::scan_parquet(path, ScanArgsParquet::default()).map_err(|e| Error::torn(pattern, e).into())
-}
-
-/// The first features file of a dataset.
-pub fn first_file(dir: &Path) -> Result<PathBuf> {
-    let features = dir.join("features");
-    let list = std::fs::read_dir(&features).map_err(|e| Error::io(&features, "cannot be read", e))?;
-    let mut files: Vec<PathBuf> = list
-        .flatten()
-        .map(|e| e.path())
-        .filter(|p| p.extension().is_some_and(|x| x == "parquet"))
-        .collect();
-    files.sort();
-    let allowed = "a dataset with features (ema simulate)";
-    files
-        .into_iter()
-        .next()
-        .ok_or_else(|| Error::bad(features.display().to_string(), "folder", "no Parquet files", allowed).into())
 }
 
 /// The map of a feature with the direction that it usually has, or else with another one: at some rest
@@ -191,135 +125,6 @@ fn declared(
     build((along, across)).or_else(|e| others.into_iter().find_map(|d| build(d).ok()).ok_or(e))
 }
 
-/// Builds the maps of a dataset.
-///
-/// * `dir` dataset folder with `features/`
-/// * `rest_angle_rad` which of the dataset's rest angles; the only one if `None`
-/// * `lenient` leave out a feature whose surface is not monotone enough (the set then says so)
-///   instead of refusing: at some rest angles P2 or P3 do not rise everywhere
-pub fn build(
-    dir: &Path,
-    sequence: &TestSequence,
-    actuator: &ActuatorParameters,
-    equivalent_current: bool,
-    rest_angle_rad: Option<f64>,
-    lenient: bool,
-) -> Result<FailureMapSet> {
-    let first = first_file(dir)?;
-    let provenance = Provenance::from_pairs(&first, &metadata(&first)?)?;
-    let file = dir.display().to_string();
-    if provenance.parameters != actuator.fingerprint() {
-        let (found, allowed) = (provenance.parameters, actuator.fingerprint());
-        return Err(Error::bad(
-            file,
-            "parameter fingerprint",
-            found,
-            format!("{allowed} ({})", actuator.name),
-        )
-        .into());
-    }
-    if provenance.sequence_fingerprint != sequence.fingerprint() {
-        let (found, allowed) = (provenance.sequence_fingerprint, sequence.fingerprint());
-        return Err(Error::bad(
-            file,
-            "sequence fingerprint",
-            found,
-            format!("{allowed} ({})", sequence.name),
-        )
-        .into());
-    }
-    let table = scan(&dir.join("features/*.parquet"))?
-        .sort(["rest_angle_rad", "zeta", "fsj"], SortMultipleOptions::default())
-        .collect()
-        .map_err(|e| Error::torn(dir, e))?;
-    let column = |name: &str| -> Result<Vec<Option<f64>>> {
-        let c = table.column(name).map_err(|e| Error::torn(dir, e))?;
-        Ok(c.as_materialized_series()
-            .f64()
-            .map_err(|e| Error::torn(dir, e))?
-            .iter()
-            .collect())
-    };
-    let whole = |name: &str| -> Result<Vec<f64>> {
-        let values: Option<Vec<f64>> = column(name)?.into_iter().collect();
-        values.ok_or_else(|| Error::bad(&file, format!("column `{name}`"), "null", "a number in every row").into())
-    };
-    let (fsj_all, zeta_all, rest_all) = (whole("fsj")?, whole("zeta")?, whole("rest_angle_rad")?);
-    let distinct = |v: &[f64]| {
-        let mut v = v.to_vec();
-        v.sort_by(f64::total_cmp);
-        v.dedup();
-        v
-    };
-    let angles = distinct(&rest_all);
-    let rest = match rest_angle_rad {
-        Some(a) => *angles
-            .iter()
-            .find(|&&x| (x - a).abs() < 0.5 * REST_ANGLE_TOLERANCE_RAD)
-            .ok_or_else(|| {
-                let list: Vec<String> = angles.iter().map(|a| format!("{:.1}", a.to_degrees())).collect();
-                Error::bad(
-                    &file,
-                    "rest angle [deg]",
-                    format!("{:.1}", a.to_degrees()),
-                    list.join(", "),
-                )
-            })?,
-        None if angles.len() == 1 => angles[0],
-        None => {
-            let found = format!("{} rest angles", angles.len());
-            return Err(Error::bad(file, "dataset", found, "one, or a rest angle to choose").into());
-        }
-    };
-    let rows: Vec<usize> = (0..rest_all.len()).filter(|&i| rest_all[i] == rest).collect();
-    let pick = |v: &[f64]| -> Vec<f64> { rows.iter().map(|&i| v[i]).collect() };
-    let (fsj, zeta) = (distinct(&pick(&fsj_all)), distinct(&pick(&zeta_all)));
-    for (k, &i) in rows.iter().enumerate() {
-        let (f, z) = (fsj[k % fsj.len()], zeta.get(k / fsj.len()).copied().unwrap_or(f64::NAN));
-        if (fsj_all[i], zeta_all[i]) != (f, z) {
-            let found = format!("(FSJ {}, zeta {})", fsj_all[i], zeta_all[i]);
-            return Err(Error::bad(file, format!("grid point {k}"), found, format!("(FSJ {f}, zeta {z})")).into());
-        }
-    }
-    if rows.len() != fsj.len() * zeta.len() {
-        let found = format!("{} runs", rows.len());
-        let allowed = format!("{} x {} grid points, each once", fsj.len(), zeta.len());
-        return Err(Error::bad(file, "dataset", found, allowed).into());
-    }
-    let get = |name: &str| -> Result<Vec<Option<f64>>> {
-        let all = column(name)?;
-        Ok(rows.iter().map(|&i| all[i]).collect())
-    };
-    let columns = |names: [&str; RawFeatures::COUNT]| -> Result<Vec<RawFeatures>> {
-        let columns = names.map(get).into_iter().collect::<Result<Vec<_>>>()?;
-        let row = |i| RawFeatures::from_values(std::array::from_fn(|k| columns[k][i]), Some(rest));
-        Ok((0..rows.len()).map(row).collect())
-    };
-    let grid = GridFeatures {
-        measured: columns(RawFeatures::COLUMNS)?,
-        deviations: columns(RawFeatures::DEVIATIONS)?,
-        fsj,
-        zeta,
-    };
-    let header = MapSetHeader {
-        actuator: provenance.actuator,
-        parameters: provenance.parameters,
-        sequence: provenance.sequence,
-        sequence_fingerprint: provenance.sequence_fingerprint,
-        rate_hz: provenance.rate_hz,
-        sensors: provenance.sensors,
-        rest_angle_rad: rest,
-        equivalent_current,
-        grid: provenance.grid,
-        load_n_m: provenance.load_n_m,
-        step_s: provenance.step_s,
-        seed: provenance.seed,
-        commit: provenance.commit,
-        left_out: Vec::new(),
-    };
-    of_grid(&file, header, sequence, &grid, lenient)
-}
-
 /// Raw features of every point of a fault grid, and their standard deviations over noise seeds; zeta
 /// outer, FSJ inner.
 #[derive(Clone, Debug)]
@@ -334,7 +139,8 @@ pub struct GridFeatures {
 ///
 /// * `file` for messages
 /// * `header` what the maps are for; what is left out is added
-/// * `lenient` as in [`build`]
+/// * `lenient` leave out a feature whose surface is not monotone enough (the set then says so)
+///   instead of refusing: at some rest angles P2 or P3 do not rise everywhere
 pub fn of_grid(
     file: &str,
     mut header: MapSetHeader,
@@ -392,7 +198,7 @@ pub fn of_grid(
         noise.sort_by(f64::total_cmp);
         let noise = noise[(noise.len() - 1) * 19 / 20];
         let sample = match (feature, slope, nominal.p3_rad) {
-            (Feature::P3, Some(a), Some(p0)) => a / header.rate_hz / p0,
+            (Feature::P3, Some(a), Some(p0)) => a / header.kind.rate_hz / p0,
             _ => 0.0,
         };
         if Feature::WITNESSES.contains(&feature) {

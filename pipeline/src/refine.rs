@@ -15,7 +15,7 @@
 
 mod response;
 
-use crate::calibrate::{TestKind, simulate_features};
+use crate::calibrate::simulate_features;
 use anyhow::Result;
 use diagnoser::diagnosis::{Area, Known};
 use rand::seq::SliceRandom;
@@ -26,6 +26,7 @@ use schemas::error::Error;
 use schemas::fault::{FaultState, Interval};
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::sequence::Command;
+use sim_worker::setup::TestSetup;
 use sim_worker::spread::{Cause, Spread};
 use sim_worker::test_bench::Lane;
 use std::sync::Arc;
@@ -61,7 +62,7 @@ const STAIRS: f64 = 2.0;
 /// One recording and what is known about it.
 #[derive(Clone, Copy, Debug)]
 pub struct Test<'a> {
-    pub kind: &'a TestKind,
+    pub setup: &'a TestSetup,
     /// nominal run of the maps, which `features` are over
     pub nominal: &'a RawFeatures,
     pub features: &'a Features,
@@ -257,12 +258,12 @@ impl<'a> Problem<'a> {
         }
         let is_known = |c: Cause| test.known.iter().any(|(k, _)| *k == c);
         let free = test.spread.causes().map(|(c, _)| c).filter(|&c| !is_known(c)).collect();
-        let slope = test.kind.sequence.segments.iter().find_map(|s| match s.command {
+        let slope = test.setup.sequence.segments.iter().find_map(|s| match s.command {
             Command::Ramp { slope_rad_per_s } => Some(slope_rad_per_s.abs()),
             _ => None,
         });
         let stair = match (slope, nominal_p3) {
-            (Some(slope), Some(p3)) => slope / test.kind.rate_hz / p3.abs(),
+            (Some(slope), Some(p3)) => slope / test.setup.rate_hz / p3.abs(),
             _ => 0.0,
         };
         Ok(Self {
@@ -292,7 +293,7 @@ impl<'a> Problem<'a> {
         };
         let faults = [layers(region.ends(0)), layers(region.ends(1))];
         let causes: Vec<Vec<f64>> = self.free.iter().map(|_| layers((-1.0, 1.0))).collect();
-        let kind = self.test.kind;
+        let setup = self.test.setup;
         let mut points = Vec::with_capacity(n);
         let mut lanes = Vec::with_capacity(n);
         for i in 0..n {
@@ -300,7 +301,7 @@ impl<'a> Problem<'a> {
             let causes: Vec<f64> = causes.iter().map(|c| c[i]).collect();
             let mut draw = self.known;
             self.free.iter().zip(&causes).for_each(|(c, x)| draw[*c as usize] = *x);
-            let (actuator, rest_angle_rad) = self.units.unit(&kind.actuator, kind.rest_angle_rad, &draw);
+            let (actuator, rest_angle_rad) = self.units.unit(&setup.actuator, setup.rest_angle_rad, &draw);
             let lane = Lane {
                 actuator: Arc::new(actuator),
                 fault: FaultState {
@@ -308,13 +309,13 @@ impl<'a> Problem<'a> {
                     zeta: fault[1],
                 },
                 rest_angle_rad,
-                load_n_m: kind.load_n_m,
+                load_n_m: setup.load_n_m,
             };
             // noise of its own for every run: seeds that are shared would leave one and the same error in all
             lanes.push((lane, rng.random()));
             points.push((fault, causes));
         }
-        let Some(raw) = simulate_features(kind, lanes, "refining")? else {
+        let Some(raw) = simulate_features(setup, lanes, "refining")? else {
             return Ok(None);
         };
         let whole = |((fault, causes), raw): (_, &RawFeatures)| {
@@ -399,8 +400,8 @@ mod tests {
     use sim_worker::catalogue;
     use sim_worker::parameters::ActuatorParameters;
 
-    fn kind() -> TestKind {
-        TestKind {
+    fn setup() -> TestSetup {
+        TestSetup {
             actuator: Arc::new(ActuatorParameters::reference()),
             sequence: catalogue::sequence("preflight").unwrap(),
             sensors: catalogue::sensors("reference").unwrap(),
@@ -413,12 +414,12 @@ mod tests {
 
     /// Nominal run, and the features of one unit's test.
     fn recording(
-        kind: &TestKind,
+        setup: &TestSetup,
         spread: &Spread,
         draw: [f64; Cause::COUNT],
         fault: (f64, f64),
     ) -> (RawFeatures, Features) {
-        let (actuator, rest_angle_rad) = spread.unit(&kind.actuator, kind.rest_angle_rad, &draw);
+        let (actuator, rest_angle_rad) = spread.unit(&setup.actuator, setup.rest_angle_rad, &draw);
         let lane = |actuator, fault, rest_angle_rad| Lane {
             actuator,
             fault,
@@ -430,20 +431,20 @@ mod tests {
             zeta: fault.1,
         };
         let lanes = vec![
-            (lane(kind.actuator.clone(), FaultState::NOMINAL, 0.0), 11),
+            (lane(setup.actuator.clone(), FaultState::NOMINAL, 0.0), 11),
             (lane(Arc::new(actuator), fault, rest_angle_rad), 12),
         ];
-        let raw = simulate_features(kind, lanes, "test").unwrap().unwrap();
+        let raw = simulate_features(setup, lanes, "test").unwrap().unwrap();
         (raw[0], Features::over(&raw[1], &raw[0]))
     }
 
     #[test]
     fn val_a_pair_is_found_from_a_start_that_is_off_by_a_fifth() {
-        let (kind, spread, known) = (kind(), Spread::none(), Vec::new());
+        let (setup, spread, known) = (setup(), Spread::none(), Vec::new());
         let truth = (2.6, 0.17);
-        let (nominal, features) = recording(&kind, &spread, [0.0; Cause::COUNT], truth);
+        let (nominal, features) = recording(&setup, &spread, [0.0; Cause::COUNT], truth);
         let test = Test {
-            kind: &kind,
+            setup: &setup,
             nominal: &nominal,
             features: &features,
             spread: &spread,
@@ -467,10 +468,10 @@ mod tests {
 
     #[test]
     fn val_a_healthy_actuator_is_found_from_anywhere() {
-        let (kind, spread, known) = (kind(), Spread::none(), Vec::new());
-        let (nominal, features) = recording(&kind, &spread, [0.0; Cause::COUNT], (1.003, 0.0));
+        let (setup, spread, known) = (setup(), Spread::none(), Vec::new());
+        let (nominal, features) = recording(&setup, &spread, [0.0; Cause::COUNT], (1.003, 0.0));
         let test = Test {
-            kind: &kind,
+            setup: &setup,
             nominal: &nominal,
             features: &features,
             spread: &spread,
@@ -483,13 +484,13 @@ mod tests {
 
     #[test]
     fn prop_a_known_cause_narrows_the_box_and_a_missing_feature_widens_it() {
-        let (kind, spread) = (kind(), catalogue::spread("fleet").unwrap());
+        let (setup, spread) = (setup(), catalogue::spread("fleet").unwrap());
         let draw = [0.5, -0.6, 0.4, -0.7, 0.3, 0.0, 0.0];
         let truth = (3.1, 0.21);
-        let (nominal, features) = recording(&kind, &spread, draw, truth);
+        let (nominal, features) = recording(&setup, &spread, draw, truth);
         let run = |features: &Features, known: &Known| {
             let test = Test {
-                kind: &kind,
+                setup: &setup,
                 nominal: &nominal,
                 features,
                 spread: &spread,
@@ -519,7 +520,7 @@ mod tests {
 
     #[test]
     fn prop_fewer_than_two_features_or_no_coverage_are_refused() {
-        let (kind, spread, known) = (kind(), Spread::none(), Vec::new());
+        let (setup, spread, known) = (setup(), Spread::none(), Vec::new());
         let (nominal, features) = (RawFeatures::default(), Features::default());
         let one = Features {
             p2_a: Some(0.5),
@@ -532,7 +533,7 @@ mod tests {
         };
         for (features, coverage, place) in [(one, 0.95, "features"), (both, 1.0, "coverage")] {
             let test = Test {
-                kind: &kind,
+                setup: &setup,
                 nominal: &nominal,
                 features: &features,
                 spread: &spread,

@@ -54,8 +54,11 @@ struct Take {
 impl Replay {
     fn take(&self, path: &Path, run: Option<u64>, number: Option<u64>) -> Result<Take> {
         let measured = input::open(path, run)?;
-        let actuator = &self.settings.actuator;
-        let sequence = input::recognise(path, &measured, self.settings.sequence.as_deref(), actuator.step_s)?;
+        let actuator = self.settings.actuator_of(&measured);
+        let sequence = match &measured.setup {
+            Some(s) if self.settings.sequence.is_none() => s.sequence.clone(),
+            _ => input::recognise(path, &measured, self.settings.sequence.as_deref(), actuator.step_s)?,
+        };
         let sensors = sensors_of(path, &measured, &self.settings)?;
         let header = measured.telemetry.header.as_ref().expect("a measured run has rows");
         let own = (!header.actuator.is_empty()).then(|| header.actuator.clone());

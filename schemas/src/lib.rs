@@ -10,6 +10,7 @@ pub mod run_encoder;
 pub mod sequence;
 pub mod stream;
 pub mod telemetry;
+pub mod test_kind;
 pub mod toml_section;
 
 /// Version of the tables and file metadata of this crate; readers refuse another.

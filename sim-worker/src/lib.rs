@@ -17,9 +17,9 @@ pub mod plant;
 #[cfg(feature = "dataset")]
 pub mod progress;
 pub mod sensor;
+pub mod setup;
 pub mod simulate;
 pub mod spread;
 pub mod test_bench;
 pub mod trig;
 pub mod witness;
-pub mod worker;

@@ -1,10 +1,20 @@
 //! Progress bars and Ctrl-C.
 
-use crate::worker::Progress;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
+
+/// What has been done so far, for a progress display in another thread.
+#[derive(Debug, Default)]
+pub struct Progress {
+    /// runs done, earlier starts included
+    pub runs: AtomicU64,
+    /// steps made by this start
+    pub steps: AtomicU64,
+    /// set it to stop
+    pub stop: AtomicBool,
+}
 
 static INTERRUPTED: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 static QUIET: AtomicBool = AtomicBool::new(false);

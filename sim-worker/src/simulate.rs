@@ -69,7 +69,7 @@ impl Experiment {
 
     /// Fingerprint of the sensors, or `none`.
     pub fn sensor_fingerprint(&self) -> String {
-        self.sensors.as_ref().map_or("none".into(), SensorModel::fingerprint)
+        SensorModel::fingerprint_of(self.sensors.as_ref())
     }
 
     fn header(&self, run: &Run) -> TelemetryHeader {

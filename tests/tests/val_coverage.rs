@@ -5,13 +5,14 @@ use diagnoser::curves::common;
 use diagnoser::diagnosis::{Diagnoser, Outcome};
 use ema_tests::coverage::defects::{self, Defect};
 use ema_tests::coverage::{Case, FSJ, ZETA, calibrated, fresh, judge, quadrant, quantile, reference_maps};
-use pipeline::calibrate::{Campaign, Effort, TestKind};
+use pipeline::calibrate::{Campaign, Effort};
 use schemas::feature::{Feature, Features};
+use sim_worker::setup::TestSetup;
 use sim_worker::spread::{Cause, Spread};
 use std::sync::LazyLock;
 
 struct Ready {
-    kind: TestKind,
+    setup: TestSetup,
     none: Diagnoser,
     fleet: Diagnoser,
 }
@@ -19,27 +20,27 @@ struct Ready {
 /// Maps of the reference actuator, calibrated for one unit and for a fleet; made once for all tests here.
 static READY: LazyLock<Ready> = LazyLock::new(|| {
     let cache = tempfile::tempdir().unwrap();
-    let (set, kind) = reference_maps(&cache.path().join("maps"), "fine", 0.0).unwrap();
+    let (set, setup) = reference_maps(&cache.path().join("maps"), "fine", 0.0).unwrap();
     let diagnoser = |spread: &str| {
         let spread = sim_worker::catalogue::spread(spread).unwrap();
         let effort = Effort {
             runs: 1024,
             ..Effort::QUICK
         };
-        let campaign = Campaign::run(&kind, &spread, effort, FSJ, ZETA).unwrap().unwrap();
+        let campaign = Campaign::run(&setup, &spread, effort, FSJ, ZETA).unwrap().unwrap();
         calibrated(&set, &campaign).unwrap()
     };
     Ready {
         none: diagnoser("none"),
         fleet: diagnoser("fleet"),
-        kind,
+        setup,
     }
 });
 
 fn fresh_cases(name: &str, n: usize) -> Vec<Case> {
     let spread = sim_worker::catalogue::spread(name).unwrap();
     let diagnoser = if name == "none" { &READY.none } else { &READY.fleet };
-    let (units, measured) = fresh(&READY.kind, &spread, n, 9).unwrap();
+    let (units, measured) = fresh(&READY.setup, &spread, n, 9).unwrap();
     judge(diagnoser, &units, &measured)
 }
 
@@ -93,7 +94,7 @@ fn val_other_defects_do_not_pass_for_these_faults() {
         let spread = sim_worker::catalogue::spread(name).unwrap();
         let (mut silent, mut all) = (0, 0);
         for defect in Defect::ALL {
-            let cases = defects::tests(diagnoser, &READY.kind, &spread, defect, 48, 3).unwrap();
+            let cases = defects::tests(diagnoser, &READY.setup, &spread, defect, 48, 3).unwrap();
             let missed = cases.iter().filter(|c| c.outcome == "located" && !c.inside).count();
             println!("{name}, {}: {missed} silent misses of {}", defect.title(), cases.len());
             silent += missed;
@@ -111,7 +112,7 @@ fn val_other_defects_do_not_pass_for_these_faults() {
 #[test]
 fn prop_a_known_cause_narrows_the_intervals_and_keeps_the_truth() {
     let spread = sim_worker::catalogue::spread("fleet").unwrap();
-    let (units, measured) = fresh(&READY.kind, &spread, 64, 4).unwrap();
+    let (units, measured) = fresh(&READY.setup, &spread, 64, 4).unwrap();
     let (mut known_inside, mut width, mut known_width) = (0, vec![], vec![]);
     for (u, raw) in units.iter().zip(&measured) {
         let ratio = u.draw[Cause::DynamicRatio as usize] * spread.half_width[Cause::DynamicRatio as usize];
@@ -141,7 +142,7 @@ fn prop_a_known_cause_narrows_the_intervals_and_keeps_the_truth() {
 fn val_the_papers_curves_enclose_the_area() {
     // every band holds every pair of the area, and the curves meet where the area is
     let spread = Spread::none();
-    let (units, measured) = fresh(&READY.kind, &spread, 40, 5).unwrap();
+    let (units, measured) = fresh(&READY.setup, &spread, 40, 5).unwrap();
     let d = &READY.none;
     let mut seen = 0;
     for (u, raw) in units.iter().zip(&measured) {
@@ -176,7 +177,7 @@ fn val_the_papers_curves_enclose_the_area() {
 #[test]
 fn prop_outcomes_say_what_is_wrong_and_make_nothing_up() {
     let d = &READY.none;
-    let (_, measured) = fresh(&READY.kind, &Spread::none(), 1, 6).unwrap();
+    let (_, measured) = fresh(&READY.setup, &Spread::none(), 1, 6).unwrap();
     let good = d.maps.features(&measured[0]);
     assert_eq!(d.diagnose(&good, &[]).outcome.name(), "located");
 
@@ -238,7 +239,7 @@ fn prop_outcomes_say_what_is_wrong_and_make_nothing_up() {
 #[test]
 fn prop_coverage_that_is_asked_for_is_reported() {
     let spread = Spread::none();
-    let (units, measured) = fresh(&READY.kind, &spread, 200, 7).unwrap();
+    let (units, measured) = fresh(&READY.setup, &spread, 200, 7).unwrap();
     let of = |coverage: f64| {
         let d = Diagnoser::new(
             READY.none.maps.clone(),

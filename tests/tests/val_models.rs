@@ -46,11 +46,13 @@ type ReferenceMaps = (SensorModel, Diagnoser, Arc<FeaturePlan>);
 
 /// Maps of the reference actuator on the fine grid, through the reference sensors, calibrated.
 fn reference_maps(dir: &std::path::Path) -> ReferenceMaps {
-    let (set, kind) = ema_tests::coverage::reference_maps(dir, "fine", 0.0).unwrap();
-    let made = calibrate(&set, &kind, &Spread::none(), Effort::QUICK).unwrap().unwrap();
+    let (set, setup) = ema_tests::coverage::reference_maps(dir, "fine", 0.0).unwrap();
+    let made = calibrate(&set, &setup, &Spread::none(), Effort::QUICK)
+        .unwrap()
+        .unwrap();
     let diagnoser = Diagnoser::new(set, Some(made), COVERAGE, &Vec::new()).unwrap();
-    let plan = Arc::new(kind.plan());
-    (kind.sensors.unwrap(), diagnoser, plan)
+    let plan = Arc::new(setup.feature_plan());
+    (setup.sensors.unwrap(), diagnoser, plan)
 }
 
 #[test]

@@ -8,6 +8,7 @@ use schemas::error::{Error, Result};
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::recording::{Provenance, write_table};
+use schemas::test_kind::TestKind;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,19 +17,16 @@ use std::sync::Arc;
 /// What a map set was made for; a diagnosis must match it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapSetHeader {
+    /// name of the actuator
     pub actuator: String,
-    pub parameters: String,
+    /// name of the sequence
     pub sequence: String,
-    pub sequence_fingerprint: String,
-    pub rate_hz: f64,
-    /// fingerprint of the sensor model, or `none`
-    pub sensors: String,
-    pub rest_angle_rad: f64,
-    /// P2 from i_eq because the telemetry has no phase currents
-    pub equivalent_current: bool,
+    /// the tests that they are for
+    #[serde(flatten)]
+    pub kind: TestKind,
+    /// fingerprint of the fault grid
     pub grid: String,
-    /// constant load torque of the runs [N m, motor side]
-    pub load_n_m: f64,
+    /// of the numerical test bench [s]
     pub step_s: f64,
     pub seed: u64,
     pub commit: String,
@@ -105,15 +103,15 @@ impl FailureMapSet {
         let h = &self.header;
         let provenance = Provenance {
             actuator: h.actuator.clone(),
-            parameters: h.parameters.clone(),
+            parameters: h.kind.parameters.clone(),
             sequence: h.sequence.clone(),
-            sequence_fingerprint: h.sequence_fingerprint.clone(),
+            sequence_fingerprint: h.kind.sequence.clone(),
             grid: h.grid.clone(),
-            sensors: h.sensors.clone(),
-            rate_hz: h.rate_hz,
+            sensors: h.kind.sensors.clone(),
+            rate_hz: h.kind.rate_hz,
             step_s: h.step_s,
             seed: h.seed,
-            load_n_m: h.load_n_m,
+            load_n_m: h.kind.load_n_m.unwrap_or(0.0),
             effects: String::new(),
             commit: h.commit.clone(),
             model: "ntb".into(),
@@ -225,7 +223,7 @@ impl FailureMapSet {
             return Err(Error::bad(&file, "maps", maps.len(), "at least two maps"));
         }
         let nominal = std::array::from_fn(|k| stored.nominal.get(k).copied().flatten());
-        let nominal = RawFeatures::from_values(nominal, Some(stored.header.rest_angle_rad));
+        let nominal = RawFeatures::from_values(nominal, Some(stored.header.kind.rest_angle_rad));
         Ok(Self {
             header: stored.header,
             nominal,

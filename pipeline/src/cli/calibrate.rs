@@ -1,7 +1,7 @@
 //! `ema calibrate`.
 
 use super::{ActuatorArg, say};
-use crate::calibrate::{Effort, TestKind, calibrate as campaign};
+use crate::calibrate::{Effort, calibrate as campaign, setup_of};
 use anyhow::Result;
 use clap::Args;
 use diagnoser::calibration::{COVERAGE, Calibration};
@@ -56,13 +56,13 @@ pub fn calibrate(a: &CalibrateArgs) -> Result<ExitCode> {
         coverage: a.coverage,
     };
     let sequence = sim_worker::catalogue::sequence(a.sequence.as_deref().unwrap_or(&set.header.sequence))?;
-    let usual = if set.header.sensors == "none" {
+    let usual = if set.header.kind.sensors == "none" {
         "none"
     } else {
         "reference"
     };
     let sensors = sim_worker::catalogue::sensors(a.sensors.as_deref().unwrap_or(usual))?;
-    let kind = TestKind::of(&file, &set.header, a.actuator.read()?, sequence, sensors)?;
+    let setup = setup_of(&file, &set.header, a.actuator.read()?, sequence, sensors)?;
     let effort = Effort {
         runs: a.runs as usize,
         surface_runs: a.surface_runs as usize,
@@ -70,7 +70,7 @@ pub fn calibrate(a: &CalibrateArgs) -> Result<ExitCode> {
     };
     // refused before the work, not after it
     Diagnoser::new(set.clone(), None, a.coverage, &Vec::new())?;
-    let made = campaign(&set, &kind, &choice.spread, effort)?.ok_or(crate::Interrupted)?;
+    let made = campaign(&set, &setup, &choice.spread, effort)?.ok_or(crate::Interrupted)?;
     if made.misfits.is_empty() {
         let allowed = "tests that have every feature";
         return Err(Error::bad(file.display().to_string(), "calibration", "none", allowed).into());

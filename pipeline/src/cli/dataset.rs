@@ -1,9 +1,9 @@
 //! `ema plan` and `ema dataset`.
 
-use super::say;
+use super::{list, say};
 use crate::dataset::diagnose::{Diagnosed, by_own_maps, by_type};
 use crate::dataset::estimate::{estimate, to_json, to_text};
-use crate::dataset::{Dataset, copy, export, maps};
+use crate::dataset::{Dataset, copy, export};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::calibration::COVERAGE;
@@ -49,8 +49,8 @@ pub enum DatasetCommand {
     Merge(MakeArgs),
     /// Check a dataset: every run once, checksums, fingerprints, schema, value ranges; says which shards to run again
     Verify(VerifyArgs),
-    /// Build the failure maps of every actuator, or those of one into a folder for ema diagnose --maps
-    Maps(MapsArgs),
+    /// Build the failure maps of every actuator, or those of one into a folder for ema diagnose --maps; also: ema maps
+    Maps(super::maps::MapsArgs),
     /// Diagnose the random tests of every actuator, by its own maps or by those of its type
     Diagnose(DiagnoseArgs),
     /// Write the telemetry of one run as a recording, channels that were not stored included
@@ -84,18 +84,6 @@ pub struct VerifyArgs {
     /// Keys for programs
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Args)]
-pub struct MapsArgs {
-    /// Dataset: a folder, or s3://BUCKET/PREFIX
-    dataset: String,
-    /// Only the maps of this actuator, into --out
-    #[arg(long, value_name = "ID", requires = "out")]
-    actuator: Option<String>,
-    /// Folder for the maps of one actuator
-    #[arg(long, requires = "actuator")]
-    out: Option<PathBuf>,
 }
 
 #[derive(Args)]
@@ -135,7 +123,7 @@ pub fn dataset(command: &DatasetCommand) -> Result<ExitCode> {
         DatasetCommand::Make(a) => make(a, true),
         DatasetCommand::Merge(a) => make(a, false),
         DatasetCommand::Verify(a) => check(a),
-        DatasetCommand::Maps(a) => build_maps(a),
+        DatasetCommand::Maps(a) => super::maps::maps(a),
         DatasetCommand::Diagnose(a) => diagnose(a),
         DatasetCommand::Export(a) => {
             export::export(&Dataset::open(&a.dataset)?, a.run, &a.out)?;
@@ -256,36 +244,6 @@ fn check(a: &VerifyArgs) -> Result<ExitCode> {
     }
     let whole = r.finished && r.findings.is_empty();
     Ok(if whole {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(EXIT_LOSS)
-    })
-}
-
-fn list(title: &str, lines: &[String]) {
-    for l in lines.iter().take(10) {
-        say(&format!("{title} {l}"));
-    }
-    if lines.len() > 10 {
-        say(&format!("{title} {} more", lines.len() - 10));
-    }
-}
-
-fn build_maps(a: &MapsArgs) -> Result<ExitCode> {
-    let d = Dataset::open(&a.dataset)?;
-    if let Some(out) = &a.out {
-        std::fs::create_dir_all(out).map_err(|e| Error::io(out, "cannot be made", e))?;
-    }
-    let only = a.actuator.as_deref().zip(a.out.as_deref());
-    let made = maps::build(&d, only)?;
-    list("left out", &made.left_out);
-    list("no maps:", &made.refused);
-    let place = a
-        .out
-        .as_ref()
-        .map_or_else(|| d.storage.url(maps::MAPS), |o| o.display().to_string());
-    say(&format!("{} sets of maps in {place}", made.sets));
-    Ok(if made.refused.is_empty() {
         ExitCode::SUCCESS
     } else {
         ExitCode::from(EXIT_LOSS)

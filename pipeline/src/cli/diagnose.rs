@@ -16,7 +16,8 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct DiagnoseArgs {
-    /// Telemetry: the project's Parquet, or CSV with columns t,com,theta_u,theta_m,omega_m,i_eq[,i_a,i_b,i_c]
+    /// Telemetry: the project's Parquet, CSV with columns t,com,theta_u,theta_m,omega_m,i_eq[,i_a,i_b,i_c], or a
+    /// dataset (--run chooses the run)
     file: PathBuf,
     /// Folder (or file) of saved maps; those of the actuator, made on first use, if left out
     #[arg(long)]
@@ -24,7 +25,7 @@ pub struct DiagnoseArgs {
     /// Keys for programs
     #[arg(long)]
     json: bool,
-    /// Run of a file that holds several
+    /// Run of a file or dataset that holds several
     #[arg(long)]
     run: Option<u64>,
     #[command(flatten)]
@@ -71,9 +72,9 @@ impl DiagnoseArgs {
 /// Fits the recording by running the test bench.
 fn refine(a: &DiagnoseArgs, settings: &Settings, case: &Case) -> Result<Refined> {
     let header = &case.diagnoser.maps.header;
-    let known = parse_known(&a.known, &settings.actuator, header.rest_angle_rad)?;
+    let known = parse_known(&a.known, &case.setup.actuator, header.kind.rest_angle_rad)?;
     let test = Test {
-        kind: &case.kind,
+        setup: &case.setup,
         nominal: &case.diagnoser.maps.nominal,
         features: &case.diagnosis.features,
         spread: &settings.choice.spread,
@@ -145,7 +146,7 @@ fn quoted(path: &std::path::Path) -> String {
 
 pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     let settings = Settings {
-        actuator: a.actuator.read()?,
+        actuator: a.actuator.named()?,
         maps: a.maps.clone(),
         run: a.run,
         sequence: a.recording.sequence.clone(),

@@ -4,6 +4,7 @@ mod calibrate;
 mod dataset;
 mod diagnose;
 mod discrepancy;
+mod maps;
 mod plot;
 mod query;
 mod run;
@@ -41,7 +42,7 @@ enum Commands {
     Simulate(simulate::SimulateArgs),
     /// Build the failure maps of a dataset
     #[command(after_help = "Example: ema maps dataset    (writes dataset/maps.parquet)")]
-    Maps(simulate::MapsArgs),
+    Maps(maps::MapsArgs),
     /// Calibrate the bands of maps: how far intervals must reach to hold the stated share of true pairs
     #[command(
         after_help = "Example: ema calibrate dataset --spread fleet    (writes dataset/calibration-fleet.json; then\n         \
@@ -144,11 +145,15 @@ impl ActuatorArg {
         self.actuator.as_deref()
     }
 
+    /// The one that was named.
+    fn named(&self) -> Result<Option<Arc<ActuatorParameters>>> {
+        Ok(self.path().map(ActuatorParameters::read).transpose()?.map(Arc::new))
+    }
+
     fn read(&self) -> Result<Arc<ActuatorParameters>> {
-        Ok(Arc::new(match &self.actuator {
-            Some(path) => ActuatorParameters::read(path)?,
-            None => ActuatorParameters::reference(),
-        }))
+        Ok(self
+            .named()?
+            .unwrap_or_else(|| Arc::new(ActuatorParameters::reference())))
     }
 }
 
@@ -170,7 +175,7 @@ pub fn main() -> ExitCode {
     let result = match cli.command {
         Commands::Run(a) => run::run(&a),
         Commands::Simulate(a) => simulate::simulate(&a),
-        Commands::Maps(a) => simulate::maps(&a),
+        Commands::Maps(a) => maps::maps(&a),
         Commands::Calibrate(a) => calibrate::calibrate(&a),
         Commands::Diagnose(a) => diagnose::diagnose(&a),
         Commands::Live(a) => stream::live(&a),
@@ -200,6 +205,16 @@ pub fn main() -> ExitCode {
 pub fn say(text: &str) {
     use std::io::Write;
     let _ = writeln!(std::io::stdout(), "{}", text.trim_end());
+}
+
+/// The first lines of a list.
+fn list(title: &str, lines: &[String]) {
+    for l in lines.iter().take(10) {
+        say(&format!("{title} {l}"));
+    }
+    if lines.len() > 10 {
+        say(&format!("{title} {} more", lines.len() - 10));
+    }
 }
 
 fn bench(a: &BenchArgs) -> Result<ExitCode> {

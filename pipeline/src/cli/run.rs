@@ -1,7 +1,7 @@
 //! `ema run`.
 
 use super::ActuatorArg;
-use crate::generate::COMMIT;
+use crate::COMMIT;
 use crate::output::Writer;
 use anyhow::Result;
 use clap::{Args, ValueEnum};
@@ -11,7 +11,8 @@ use schemas::fault::FaultState;
 use schemas::recording::Provenance;
 use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
 use sim_worker::monitor::MonitorTrack;
-use sim_worker::simulate::{Experiment, Run, simulate};
+use sim_worker::setup::TestSetup;
+use sim_worker::simulate::{Run, simulate};
 use sim_worker::test_bench::Lane;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -97,12 +98,15 @@ pub fn channel_set(names: &[String]) -> Result<ChannelSet> {
 pub fn run(a: &RunArgs) -> Result<ExitCode> {
     let actuator = a.actuator.read()?;
     let fault = faults(a.fsj, a.zeta)?;
-    let rest_angle_rad = finite("--rest-angle-deg", a.rest_angle_deg)?.to_radians();
-    let load_n_m = finite("--load-n-m", a.load_n_m)?;
-    let sequence = sim_worker::catalogue::sequence(&a.sequence)?;
-    let sensors = sim_worker::catalogue::sensors(&a.sensors)?;
+    let setup = TestSetup {
+        sensors: sim_worker::catalogue::sensors(&a.sensors)?,
+        rest_angle_rad: finite("--rest-angle-deg", a.rest_angle_deg)?.to_radians(),
+        load_n_m: finite("--load-n-m", a.load_n_m)?,
+        ..TestSetup::new(actuator, sim_worker::catalogue::sequence(&a.sequence)?, a.rate)
+    };
+    let (actuator, rest_angle_rad, load_n_m) = (setup.actuator.clone(), setup.rest_angle_rad, setup.load_n_m);
     let mut channels = channel_set(&a.channels)?;
-    let e = Experiment::new(sequence, a.rate, channels, sensors, actuator.step_s)?;
+    let e = setup.experiment(channels)?;
     if a.model == Model::Sm {
         if fault != FaultState::NOMINAL || load_n_m != 0.0 || e.sensors.is_some() {
             let found = format!(
@@ -116,23 +120,8 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
         channels = ChannelSet::of([Com, ThetaU, ThetaM, OmegaM, IEq, TorqueM]);
     }
     let provenance = Provenance {
-        actuator: actuator.name.clone(),
-        parameters: actuator.fingerprint(),
-        sequence: e.sequence.name.clone(),
-        sequence_fingerprint: e.sequence.fingerprint(),
-        grid: String::new(),
-        sensors: e.sensor_fingerprint(),
-        effects: String::new(),
-        rate_hz: a.rate,
-        step_s: actuator.step_s,
-        load_n_m,
-        seed: a.seed,
-        commit: COMMIT.into(),
-        model: if a.model == Model::Ntb {
-            "ntb".into()
-        } else {
-            "sm".into()
-        },
+        model: if a.model == Model::Ntb { "ntb" } else { "sm" }.into(),
+        ..setup.provenance(a.seed, COMMIT)
     };
     let mut writer = Writer::create(&a.out, &provenance, channels, e.sensors.is_some())?;
     match a.model {

@@ -19,6 +19,7 @@ use schemas::channel::ChannelSet;
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error};
 use schemas::fault::{FaultGrid, FaultState};
 use sim_worker::sensor::SensorModel;
+use sim_worker::setup::TestSetup;
 use sim_worker::simulate::{Experiment, Run};
 use sim_worker::test_bench::Lane;
 use std::path::PathBuf;
@@ -65,20 +66,23 @@ fn make_maps(
     grid: &FaultGrid,
     choice: &Choice,
 ) -> Result<Diagnoser, String> {
-    let actuator = known.actuators.iter().find(|a| a.fingerprint() == key.parameters);
-    let sequence = known.sequences.iter().find(|s| s.fingerprint() == key.sequence);
+    let kind = key.kind();
+    let actuator = known.actuators.iter().find(|a| a.fingerprint() == kind.parameters);
+    let sequence = known.sequences.iter().find(|s| s.fingerprint() == kind.sequence);
     let (Some(actuator), Some(sequence)) = (actuator, sequence) else {
         return Err(no_maps(key, "actuator or sequence is unknown"));
     };
-    let request = MapRequest {
+    let setup = TestSetup {
         actuator: actuator.clone(),
         sequence: sequence.clone(),
-        rate_hz: key.rate_hz(),
-        sensors: models.iter().find(|m| m.fingerprint() == key.sensors).cloned(),
-        rest_angle_rad: key.rest_angle_rad(),
-        equivalent_current: key.equivalent_current,
-        grid: grid.clone(),
+        sensors: models.iter().find(|m| m.fingerprint() == kind.sensors).cloned(),
+        rate_hz: kind.rate_hz,
+        rest_angle_rad: kind.rest_angle_rad,
+        load_n_m: 0.0,
+        equivalent_current: kind.equivalent_current,
     };
+    let grid = grid.clone();
+    let request = MapRequest { setup, grid };
     maps::cached(&request, choice, &Vec::new()).map_err(|e| format!("{e:#}"))
 }
 
@@ -143,7 +147,7 @@ pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
     let replay = Replay {
         domain: a.domain.open()?,
         settings: Settings {
-            actuator: a.actuator.read()?,
+            actuator: a.actuator.named()?,
             maps: None,
             run: None,
             sequence: a.recording.sequence.clone(),

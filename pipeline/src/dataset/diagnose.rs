@@ -47,7 +47,7 @@ fn tests<'a>(d: &'a Dataset, set: &'a FailureMapSet, rows: &'a [Rows<'a>]) -> im
     let parts = rows.iter().filter(|r| r.part.kind == Kind::Test);
     parts.flat_map(move |r| {
         r.part.runs.clone().zip(&r.values).map(move |(run, v)| {
-            let raw = RawFeatures::from_values(v.map(|x| x.0), Some(set.header.rest_angle_rad));
+            let raw = RawFeatures::from_values(v.map(|x| x.0), Some(set.header.kind.rest_angle_rad));
             Test {
                 run,
                 actuator: r.part.actuator,
@@ -71,7 +71,7 @@ fn calibration(scores: &[Score]) -> Option<Calibration> {
         surface_runs: 0,
         seed: 0,
         maps: String::new(),
-        commit: crate::generate::COMMIT.into(),
+        commit: crate::COMMIT.into(),
         scores: Default::default(),
         misfits: Vec::new(),
         deviations: Vec::new(),
@@ -97,7 +97,7 @@ pub fn by_own_maps(d: &Dataset) -> Result<Diagnosed> {
         let Some((sequence, rest, values)) = grids(rows).into_iter().next() else {
             return Ok(());
         };
-        match maps_of(d, actuator, sequence, rest, &values) {
+        match maps_of(d, actuator, sequence, rest, &values, true) {
             Ok(set) => {
                 all.extend(tests(d, &set, rows).map(|t| (sets.len(), t)));
                 sets.push(set);

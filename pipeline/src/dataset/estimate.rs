@@ -7,7 +7,7 @@ use serde_json::json;
 use sim_worker::dataset::parts::{Kind, Part};
 use sim_worker::dataset::plan::DatasetPlan;
 use sim_worker::dataset::work::Bench;
-use sim_worker::worker::Progress;
+use sim_worker::progress::Progress;
 use std::time::Instant;
 
 /// What a plan comes to.

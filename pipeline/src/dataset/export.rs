@@ -8,6 +8,9 @@ use schemas::error::Error;
 use schemas::recording::{Provenance, Recording};
 use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use sim_worker::command::CommandTrack;
+use sim_worker::dataset::parts::Part;
+use sim_worker::dataset::plan::KeptTelemetry;
+use sim_worker::setup::TestSetup;
 use std::path::Path;
 
 /// Works out the channels that are not stored, and passes one run on.
@@ -70,67 +73,121 @@ impl TelemetrySink for Derive<'_> {
     }
 }
 
+/// A run of a dataset whose telemetry was kept.
+pub struct KeptRun<'a> {
+    d: &'a Dataset,
+    part: &'a Part,
+    run: u64,
+    kept: &'a KeptTelemetry,
+    /// of the run alone
+    pub provenance: Provenance,
+    recording: Recording,
+    /// the channels that were asked for
+    pub channels: ChannelSet,
+    _scratch: Option<Scratch>,
+}
+
+impl<'a> KeptRun<'a> {
+    /// Finds run number `run`; the only one if `None`.
+    ///
+    /// # Errors
+    /// A run that the dataset does not have, or has no telemetry of.
+    pub fn open(d: &'a Dataset, run: Option<u64>) -> Result<Self> {
+        let bad = |found: String, allowed: String| Error::bad(d.storage.describe(), "run", found, allowed);
+        let last = d.plan.runs() - 1;
+        if run.is_none() && last > 0 {
+            return Err(bad(format!("{} runs", last + 1), "--run NUMBER to choose one".into()).into());
+        }
+        let run = run.unwrap_or(0);
+        let part = d
+            .part_of(run)
+            .ok_or_else(|| bad(run.to_string(), format!("0 to {last}")))?;
+        let kept = d.plan.telemetry.as_ref().filter(|_| part.telemetry).ok_or_else(|| {
+            let allowed =
+                "a run whose telemetry was kept ([telemetry] of the plan, ema simulate --keep both)".to_string();
+            bad(format!("{run}: features only"), allowed)
+        })?;
+        let path = d.plan.telemetry_path(part);
+        // the reader wants a file
+        let mut scratch = None;
+        let file = match d.storage.local_path() {
+            Some(root) => root.join(&path),
+            None => {
+                let bytes = d.storage.get(&path)?;
+                let bytes =
+                    bytes.ok_or_else(|| Error::bad(d.storage.url(&path), "file", "nothing", "that of the manifest"))?;
+                let folder = scratch.insert(Scratch::new()?);
+                let file = folder.0.join("part.parquet");
+                std::fs::write(&file, &bytes).map_err(|e| Error::io(&file, "cannot be written", e))?;
+                file
+            }
+        };
+        let recording = Recording::open(&file)?;
+        let provenance = Provenance {
+            grid: String::new(),
+            seed: d.plan.run(part, run).seed,
+            ..recording.provenance.clone()
+        };
+        Ok(Self {
+            d,
+            part,
+            run,
+            kept,
+            provenance,
+            recording,
+            channels: kept.wanted,
+            _scratch: scratch,
+        })
+    }
+
+    /// The test that the run is.
+    pub fn setup(&self) -> TestSetup {
+        self.d
+            .plan
+            .setup(self.part.actuator, self.part.sequence, self.part.rest)
+    }
+
+    /// Whether samples are of single precision: those of sensors are.
+    pub fn is_single(&self) -> bool {
+        self.d.plan.sensors.is_some()
+    }
+
+    /// Passes the run's samples on, with the channels that were not stored.
+    pub fn replay(&self, to: &mut dyn TelemetrySink) -> Result<()> {
+        let plan = &self.d.plan;
+        let actuator = &plan.actuators[self.part.actuator].parameters;
+        let mut derive = Derive {
+            run: self.run,
+            wanted: self.channels,
+            command: CommandTrack::new(&plan.sequences[self.part.sequence], actuator.step_s),
+            steps_per_sample: 1.0 / (self.kept.rate_hz * actuator.step_s),
+            single: self.is_single(),
+            count_rad: plan.sensors.as_ref().map(|s| s.resolver_count_rad()),
+            gear_ratio: actuator.gear_ratio,
+            buffer: TelemetryBuffer::new(self.channels, 4096),
+            to,
+            rows: 0,
+        };
+        self.recording.replay(4096, &mut derive)?;
+        if derive.rows == 0 {
+            let (place, found) = (
+                self.d.storage.url(&plan.telemetry_path(self.part)),
+                format!("no run {}", self.run),
+            );
+            return Err(Error::bad(place, "runs", found, "ema dataset verify").into());
+        }
+        Ok(())
+    }
+}
+
 /// Writes the telemetry of run number `run` to `out`, Parquet or CSV by its ending.
 ///
 /// # Errors
-/// A run that the dataset does not have, or has no telemetry of.
+/// Those of [`KeptRun::open`]; a file that cannot be written.
 pub fn export(d: &Dataset, run: u64, out: &Path) -> Result<()> {
-    let bad = |found: String, allowed: String| Error::bad(d.storage.describe(), "run", found, allowed);
-    let part = d
-        .part_of(run)
-        .ok_or_else(|| bad(run.to_string(), format!("0 to {}", d.plan.runs() - 1)))?;
-    let kept = d.plan.telemetry.as_ref().filter(|_| part.telemetry).ok_or_else(|| {
-        let allowed = "a run whose telemetry was kept ([telemetry] of the plan)".to_string();
-        bad(format!("{run}: features only"), allowed)
-    })?;
-    let path = d.plan.telemetry_path(part);
-    // the reader wants a file
-    let folder;
-    let file = match d.storage.local_path() {
-        Some(root) => root.join(&path),
-        None => {
-            let bytes = d.storage.get(&path)?;
-            let bytes =
-                bytes.ok_or_else(|| Error::bad(d.storage.url(&path), "file", "nothing", "that of the manifest"))?;
-            folder = Scratch::new()?;
-            let file = folder.0.join("part.parquet");
-            std::fs::write(&file, &bytes).map_err(|e| Error::io(&file, "cannot be written", e))?;
-            file
-        }
-    };
-    let recording = Recording::open(&file)?;
-    let actuator = &d.plan.actuators[part.actuator];
-    let sequence = &d.plan.sequences[part.sequence];
-    let step_s = actuator.parameters.step_s;
-    let provenance = Provenance {
-        grid: String::new(),
-        seed: d.plan.run(part, run).seed,
-        ..recording.provenance.clone()
-    };
-    let single = d.plan.sensors.is_some();
-    let mut sink = Writer::create(out, &provenance, kept.wanted, single)?;
-    let mut derive = Derive {
-        run,
-        wanted: kept.wanted,
-        command: CommandTrack::new(sequence, step_s),
-        steps_per_sample: 1.0 / (kept.rate_hz * step_s),
-        single,
-        count_rad: d.plan.sensors.as_ref().map(|s| s.resolver_count_rad()),
-        gear_ratio: actuator.parameters.gear_ratio,
-        buffer: TelemetryBuffer::new(kept.wanted, 4096),
-        to: &mut sink,
-        rows: 0,
-    };
-    recording.replay(4096, &mut derive)?;
-    if derive.rows == 0 {
-        return Err(Error::bad(
-            d.storage.url(&path),
-            "runs",
-            format!("no run {run}"),
-            "ema dataset verify",
-        )
-        .into());
-    }
+    let kept = KeptRun::open(d, Some(run))?;
+    let mut sink = Writer::create(out, &kept.provenance, kept.channels, kept.is_single())?;
+    kept.replay(&mut sink)?;
     sink.finish()?;
     Ok(())
 }

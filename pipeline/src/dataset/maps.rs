@@ -1,4 +1,4 @@
-//! Failure maps of every actuator of a fleet.
+//! Failure maps of the actuators of a dataset.
 
 use super::{Dataset, grids};
 use crate::maps::{GridFeatures, of_grid};
@@ -9,6 +9,7 @@ use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
 use schemas::error::Error;
 use schemas::feature::RawFeatures;
 use schemas::recording::table_bytes;
+use schemas::test_kind::REST_ANGLE_TOLERANCE_RAD;
 use sim_worker::dataset::plan::SOURCE;
 use sim_worker::noise::FeatureValues;
 use std::path::{Path, PathBuf};
@@ -18,26 +19,23 @@ use std::sync::Arc;
 pub const MAPS: &str = "maps/part-0000.parquet";
 
 /// The maps of one actuator, sequence and rest angle, from the features of its grid points.
+///
+/// * `lenient` as in [`of_grid`]
 pub fn maps_of(
     d: &Dataset,
     actuator: usize,
     sequence: usize,
     rest: usize,
     values: &[FeatureValues],
+    lenient: bool,
 ) -> Result<FailureMapSet> {
     let plan = &d.plan;
     let (a, q) = (&plan.actuators[actuator], &plan.sequences[sequence]);
     let header = MapSetHeader {
         actuator: a.id.clone(),
-        parameters: a.parameters.fingerprint(),
         sequence: q.name.clone(),
-        sequence_fingerprint: q.fingerprint(),
-        rate_hz: plan.rate_hz,
-        sensors: plan.sensor_fingerprint(),
-        rest_angle_rad: plan.rest_angles_rad[rest],
-        equivalent_current: false,
+        kind: d.plan.setup(actuator, sequence, rest).kind(),
         grid: plan.grid.fingerprint(),
-        load_n_m: plan.load_n_m,
         step_s: a.parameters.step_s,
         seed: plan.seed,
         commit: format!("source {SOURCE}"),
@@ -53,7 +51,13 @@ pub fn maps_of(
         measured: raw(&|v| v.map(|x| x.0)),
         deviations: raw(&|v| v.map(|x| x.0.map(|_| x.1))),
     };
-    of_grid(&format!("{}: {}", d.storage.describe(), a.id), header, q, &grid, true)
+    of_grid(
+        &format!("{}: {}", d.storage.describe(), a.id),
+        header,
+        q,
+        &grid,
+        lenient,
+    )
 }
 
 #[derive(Default)]
@@ -78,7 +82,7 @@ impl Columns {
                     column.push(text.clone());
                 }
                 let (fsj, zeta) = (m.fsj[i % m.fsj.len()], m.zeta[i / m.fsj.len()]);
-                let numbers = [set.header.rest_angle_rad, fsj, zeta, m.value[i], m.raw[i]];
+                let numbers = [set.header.kind.rest_angle_rad, fsj, zeta, m.value[i], m.raw[i]];
                 for (column, x) in self.numbers.iter_mut().zip(numbers) {
                     column.push(x);
                 }
@@ -110,74 +114,161 @@ pub struct Made {
     pub refused: Vec<String>,
 }
 
-/// Builds the maps of all actuators into the dataset; or, with `only`, those of one of them into a folder as
-/// `ema maps` does, for `ema diagnose --maps` and the live diagnoser.
-pub fn build(d: &Dataset, only: Option<(&str, &Path)>) -> Result<Made> {
+/// Which maps of a dataset.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Chosen<'a> {
+    /// of this actuator only
+    pub actuator: Option<&'a str>,
+    /// from this rest angle only [rad]
+    pub rest_angle_rad: Option<f64>,
+    /// as in [`of_grid`]
+    pub lenient: bool,
+}
+
+impl Chosen<'_> {
+    /// Places of the actuator and of the rest angle in the plan, where one is chosen.
+    fn places(&self, d: &Dataset) -> Result<(Option<usize>, Option<usize>)> {
+        let ids = || d.plan.actuators.iter().map(|a| a.id.as_str());
+        let angles = &d.plan.rest_angles_rad;
+        let near = |&x: &f64| {
+            self.rest_angle_rad
+                .is_some_and(|a| (x - a).abs() < 0.5 * REST_ANGLE_TOLERANCE_RAD)
+        };
+        let actuator = self.actuator.map(|id| {
+            let some: Vec<&str> = ids().take(8).collect();
+            let allowed = format!(
+                "an actuator of the dataset, which knows its parameters: {}",
+                some.join(", ")
+            );
+            ids()
+                .position(|x| x == id)
+                .ok_or_else(|| Error::bad("command line", "--actuator", id, allowed))
+        });
+        let rest = self.rest_angle_rad.map(|a| {
+            let list: Vec<String> = angles.iter().map(|a| format!("{:.1}", a.to_degrees())).collect();
+            let (found, allowed) = (format!("{:.1}", a.to_degrees()), list.join(", "));
+            angles
+                .iter()
+                .position(near)
+                .ok_or_else(|| Error::bad(d.storage.describe(), "rest angle [deg]", found, allowed))
+        });
+        Ok((actuator.transpose()?, rest.transpose()?))
+    }
+}
+
+/// Builds the chosen maps, one actuator after another.
+fn each_set(
+    d: &Dataset,
+    chosen: &Chosen<'_>,
+    mut take: impl FnMut(usize, Result<FailureMapSet>) -> Result<()>,
+) -> Result<()> {
+    let (only, angle) = chosen.places(d)?;
+    d.each_actuator(|actuator, rows| {
+        if only.is_some_and(|wanted| wanted != actuator) {
+            return Ok(());
+        }
+        for (sequence, rest, values) in grids(rows) {
+            if angle.is_none_or(|wanted| wanted == rest) {
+                take(actuator, maps_of(d, actuator, sequence, rest, &values, chosen.lenient))?;
+            }
+        }
+        Ok(())
+    })
+}
+
+/// The maps of a dataset of one actuator, sequence and rest angle.
+pub fn of_one(d: &Dataset, lenient: bool) -> Result<FailureMapSet> {
+    let mut found = None;
+    let chosen = Chosen {
+        lenient,
+        ..Chosen::default()
+    };
+    each_set(d, &chosen, |_, set| {
+        found.get_or_insert(set?);
+        Ok(())
+    })?;
+    found.ok_or_else(|| {
+        Error::bad(
+            d.storage.describe(),
+            "runs",
+            "no grid points",
+            "runs on a grid of faults",
+        )
+        .into()
+    })
+}
+
+/// Builds the maps of all actuators into the dataset.
+pub fn table(d: &Dataset) -> Result<Made> {
     let mut made = Made {
         sets: 0,
         left_out: Vec::new(),
         refused: Vec::new(),
     };
-    let ids = || d.plan.actuators.iter().map(|a| a.id.as_str());
-    if let Some((id, _)) = only.filter(|(id, _)| !ids().any(|x| x == *id)) {
-        let some: Vec<&str> = ids().take(8).collect();
-        return Err(Error::bad(
-            "command line",
-            "--actuator",
-            id,
-            format!("an actuator of the fleet: {}, ...", some.join(", ")),
-        )
-        .into());
-    }
     let mut columns = Columns::default();
-    d.each_actuator(|actuator, rows| {
+    let chosen = Chosen {
+        lenient: true,
+        ..Chosen::default()
+    };
+    each_set(d, &chosen, |actuator, set| {
         let id = &d.plan.actuators[actuator].id;
-        if only.is_some_and(|(wanted, _)| wanted != id) {
-            return Ok(());
-        }
-        for (sequence, rest, values) in grids(rows) {
-            match maps_of(d, actuator, sequence, rest, &values) {
-                Ok(set) => {
-                    made.sets += 1;
-                    made.left_out
-                        .extend(set.header.left_out.iter().map(|l| format!("{id}: {l}")));
-                    match only {
-                        Some((_, dir)) => {
-                            let file = file_of(d, dir, &set.header)?;
-                            set.save(&file)?;
-                        }
-                        None => columns.add(d, actuator, &set),
-                    }
-                }
-                Err(e) => made.refused.push(e.to_string()),
+        match set {
+            Ok(set) => {
+                made.sets += 1;
+                let left_out = set.header.left_out.iter().map(|l| format!("{id}: {l}"));
+                made.left_out.extend(left_out);
+                columns.add(d, actuator, &set);
             }
+            Err(e) => made.refused.push(e.to_string()),
         }
         Ok(())
     })?;
-    if let Some((id, dir)) = only {
-        let actuator = ids().position(|x| x == id).expect("looked for above");
-        let text = d.plan.actuator_toml(actuator)?;
-        schemas::error::write_whole(&dir.join("actuator.toml"), text.as_bytes())?;
-    }
-    if only.is_none() && made.sets > 0 {
+    if made.sets > 0 {
         let bytes = table_bytes(&[columns.batch()?], pairs(d))?;
         d.storage.replace(MAPS, bytes)?;
     }
     Ok(made)
 }
 
-/// `maps.parquet`, in a folder of its own where there are several.
-fn file_of(d: &Dataset, dir: &Path, header: &MapSetHeader) -> Result<PathBuf> {
-    let mut dir = dir.to_path_buf();
-    if d.plan.sequences.len() * d.plan.rest_angles_rad.len() > 1 {
-        dir.push(format!(
-            "{}-{:.1}deg",
-            header.sequence,
-            header.rest_angle_rad.to_degrees()
-        ));
-        std::fs::create_dir_all(&dir).map_err(|e| Error::io(&dir, "cannot be made", e))?;
+/// Builds the maps of one actuator into files, for `ema diagnose --maps` and the live diagnoser, and writes the
+/// actuator's parameters beside them.
+///
+/// * `out` folder, or the file where there is one set
+pub fn files(d: &Dataset, chosen: &Chosen<'_>, out: &Path) -> Result<Vec<(PathBuf, FailureMapSet)>> {
+    let mut sets = Vec::new();
+    let mut owner = 0;
+    each_set(d, chosen, |actuator, set| {
+        owner = actuator;
+        sets.push(set?);
+        Ok(())
+    })?;
+    let several = sets.len() > 1;
+    let is_file = out.extension().is_some_and(|x| x == "parquet");
+    if several && is_file {
+        let found = format!("{} sets of maps", sets.len());
+        return Err(Error::bad(out.display().to_string(), "maps", found, "one, or a folder for them").into());
     }
-    Ok(dir.join("maps.parquet"))
+    let mut files = Vec::new();
+    for set in sets {
+        let file = match (is_file, several) {
+            (true, _) => out.to_path_buf(),
+            (false, false) => out.join("maps.parquet"),
+            (false, true) => {
+                let h = &set.header;
+                out.join(format!("{}-{:.1}deg", h.sequence, h.kind.rest_angle_rad.to_degrees()))
+                    .join("maps.parquet")
+            }
+        };
+        let dir = file.parent().unwrap_or(Path::new(""));
+        std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
+        set.save(&file)?;
+        files.push((file, set));
+    }
+    if !is_file {
+        let text = d.plan.actuator_toml(owner)?;
+        schemas::error::write_whole(&out.join("actuator.toml"), text.as_bytes())?;
+    }
+    Ok(files)
 }
 
 /// Metadata of tables that are made from a dataset.
@@ -187,7 +278,7 @@ pub fn pairs(d: &Dataset) -> Vec<(String, String)> {
         ("fleet", d.plan.name.clone()),
         ("plan", d.manifest.plan.clone()),
         ("sensors", d.plan.sensor_fingerprint()),
-        ("commit", crate::generate::COMMIT.into()),
+        ("commit", crate::COMMIT.into()),
     ]
     .map(|(k, v)| (format!("ema.{k}"), v))
     .to_vec()

@@ -1,4 +1,4 @@
-//! Fleet datasets on the ground: what a plan will cost, maps and diagnoses of every actuator, single runs.
+//! Datasets on the ground: what a plan will cost, maps and diagnoses of every actuator, single runs.
 
 pub mod copy;
 pub mod diagnose;
@@ -10,15 +10,39 @@ use anyhow::Result;
 use schemas::error::Error;
 use sim_worker::dataset::layout::features;
 use sim_worker::dataset::manifest::Manifest;
+use sim_worker::dataset::merge::{Merged, merge};
 use sim_worker::dataset::parts::{Kind, Part};
 use sim_worker::dataset::plan::DatasetPlan;
+use sim_worker::dataset::program::work_shown;
+use sim_worker::dataset::shard::Shard;
 use sim_worker::dataset::storage::Storage;
 use sim_worker::dataset::tables::Table;
-use sim_worker::dataset::work::plan_of;
+use sim_worker::dataset::work::{Done, plan_of};
 use sim_worker::noise::FeatureValues;
 use std::collections::BTreeMap;
+use std::path::Path;
 
-/// A finished fleet dataset.
+/// Simulates what is missing of a plan's dataset and puts it together. `Ok(None)` where it was interrupted.
+///
+/// * `title` of the progress bar
+///
+/// # Errors
+/// A dataset of another plan; storage that refuses. What is stored stays.
+pub fn make(plan: &DatasetPlan, storage: &Storage, title: &str) -> Result<Option<(Done, Manifest)>> {
+    let Some(done) = work_shown(plan, storage, Shard::WHOLE, title)? else {
+        return Ok(None);
+    };
+    match merge(plan, storage, |_, _| ())? {
+        Merged::Whole(manifest) => Ok(Some((done, manifest))),
+        Merged::Missing(parts) => Err(Error::torn(
+            Path::new(&storage.describe()),
+            format!("{} parts vanished while others were made", parts.len()),
+        )
+        .into()),
+    }
+}
+
+/// A finished dataset.
 pub struct Dataset {
     pub storage: Storage,
     pub plan: DatasetPlan,
@@ -35,9 +59,13 @@ pub struct Rows<'a> {
 impl Dataset {
     /// Opens a dataset that is put together.
     pub fn open(url: &str) -> Result<Self> {
-        let storage = Storage::open(url)?;
+        Self::of(Storage::open(url)?)
+    }
+
+    /// As [`Dataset::open`], where it is stored.
+    pub fn of(storage: Storage) -> Result<Self> {
         let (plan, _) = plan_of(&storage)?;
-        let allowed = "a finished dataset; run the missing shards and ema dataset merge";
+        let allowed = "a finished dataset; start ema simulate again, or run the missing shards and ema dataset merge";
         let manifest = Manifest::read(&storage)?
             .ok_or_else(|| Error::bad(storage.describe(), "manifest.json", "nothing", allowed))?;
         Ok(Self {

@@ -4,6 +4,7 @@
 use super::wire::{from_number, from_text, to_number, to_text, wire};
 use crate::channel::{Channel, ChannelSet};
 use crate::telemetry::{TelemetryView, TelemetryViewMut};
+use crate::test_kind::TestKind;
 
 /// First frame of a run: no samples, says what comes.
 pub const BEGIN: u32 = 1;
@@ -125,6 +126,27 @@ impl RunDescription {
             channels: self.channels.0,
             process: std::process::id(),
             ..FrameHeader::default()
+        }
+    }
+
+    /// Constant load torque [N m, motor side], where it is known.
+    pub fn load(&self) -> Option<f64> {
+        Some(self.load_n_m).filter(|x| !x.is_nan())
+    }
+
+    /// The kind of test that the run is.
+    ///
+    /// * `rest_angle_rad` motor angle at sample 1 [rad]
+    /// * `equivalent_current` P2 from i_eq
+    pub fn kind(&self, rest_angle_rad: f64, equivalent_current: bool) -> TestKind {
+        TestKind {
+            parameters: self.parameters.clone(),
+            sequence: self.sequence.clone(),
+            sensors: self.sensors.clone(),
+            rate_hz: self.rate_hz,
+            rest_angle_rad,
+            load_n_m: self.load(),
+            equivalent_current,
         }
     }
 }

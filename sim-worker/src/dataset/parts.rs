@@ -11,6 +11,10 @@ use std::ops::Range;
 /// Bytes of telemetry of a part before it is encoded, at most, unless a single run has more.
 const PART_BYTES: u64 = 256 << 20;
 
+/// Runs of a part of a single actuator, at most: the grid of one would otherwise be one part, lost as a whole when
+/// work is interrupted. Fleets are cut by their actuators.
+const PART_RUNS: usize = 4 * LANES;
+
 /// What a run is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -99,6 +103,11 @@ impl DatasetPlan {
     /// Most runs of a part of a group of `runs`.
     fn most(&self, sequence: usize, kind: Kind, runs: usize) -> usize {
         let bytes = if self.keeps(kind) { self.run_bytes(sequence) } else { 0 };
+        let runs = if self.actuators.len() == 1 {
+            runs.min(PART_RUNS)
+        } else {
+            runs
+        };
         match (PART_BYTES / bytes.max(1)) as usize {
             n if n >= runs => runs.max(1),
             n if n > LANES => n / LANES * LANES,

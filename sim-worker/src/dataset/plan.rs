@@ -2,8 +2,9 @@
 
 use super::draw::{Distribution, random};
 use crate::catalogue;
-use crate::parameters::{ActuatorParameters, PARAMETERS};
+use crate::parameters::{self, ActuatorParameters, PARAMETERS};
 use crate::sensor::SensorModel;
+use crate::setup::TestSetup;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::fault::FaultGrid;
@@ -11,6 +12,7 @@ use schemas::fingerprint::{exact, fingerprint};
 use schemas::sequence::TestSequence;
 use schemas::toml_section::{self, Section, quoted};
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -40,11 +42,11 @@ const MOST_NOISE_BYTES: u64 = 1 << 28;
 /// One actuator of the fleet.
 #[derive(Clone, Debug)]
 pub struct PlannedActuator {
-    /// `<tail>.<position>`
+    /// `<tail>.<position>`, or the tail alone
     pub id: String,
-    /// tail number of the aircraft
+    /// tail number of the aircraft; of a single actuator its name
     pub tail: String,
-    /// where it sits
+    /// where it sits; empty where there is one place only
     pub position: String,
     pub parameters: Arc<ActuatorParameters>,
 }
@@ -78,6 +80,8 @@ pub struct DatasetPlan {
     pub rest_angles_rad: Vec<f64>,
     /// constant load torque [N m, motor side]
     pub load_n_m: f64,
+    /// P2 from i_eq instead of the phase currents
+    pub equivalent_current: bool,
     pub sensors: Option<SensorModel>,
     /// rate at which features are taken [Hz]
     pub rate_hz: f64,
@@ -134,7 +138,7 @@ fn plain(text: &str) -> bool {
 const NAME: &str = "letters, digits, - and _, a letter first, and no word for a number or truth";
 
 /// Folders are called by it (hive layout): readers guess types, and must not take it for a number.
-fn plain_name(text: &str) -> bool {
+pub(super) fn plain_name(text: &str) -> bool {
     let word = text.to_ascii_lowercase();
     let guessed = ["nan", "inf", "infinity", "true", "false", "epoch", "null"].contains(&word.as_str());
     plain(text) && text.starts_with(|c: char| c.is_ascii_alphabetic()) && !guessed
@@ -232,8 +236,17 @@ impl DatasetPlan {
             let turn = |x: f64| (-360.0..=360.0).contains(&x);
             let list = s.axis("rest_angle_deg", turn, "strictly rising angles from -360 to 360")?;
             list.iter().map(|x| x.to_radians()).collect()
+        } else if s.may_have("rest_angle_rad") {
+            let turn = |x: f64| (-TAU..=TAU).contains(&x);
+            s.axis("rest_angle_rad", turn, "strictly rising angles from -2 pi to 2 pi")?
         } else {
             vec![0.0]
+        };
+        let currents = s.text_or("currents", "phases")?;
+        let equivalent_current = match currents.as_str() {
+            "phases" => false,
+            "i_eq" => true,
+            _ => return Err(s.bad("currents", currents, "phases, or i_eq: what P2 is taken from")),
         };
         let load_n_m = s.number_or("load_n_m", 0.0, |_| true, "a finite number")?;
         let sensors = s.text_or("sensors", "none")?;
@@ -291,6 +304,7 @@ impl DatasetPlan {
             grid,
             rest_angles_rad,
             load_n_m,
+            equivalent_current,
             sensors,
             rate_hz,
             feature_seeds,
@@ -350,7 +364,7 @@ impl DatasetPlan {
             format!("{},{},{},{:?}", t.every, t.wanted.0, t.stored.0, t.of)
         });
         fingerprint(&format!(
-            "fleet;{SOURCE};{};{};{};{};{};{};{};{};{};{};{};{};{telemetry}",
+            "fleet;{SOURCE};{};{};{};{};{};{};{};{};{};{};{};{};{telemetry};{}",
             self.name,
             self.seed,
             self.actuators.iter().map(actuator).collect::<Vec<_>>().join(","),
@@ -363,6 +377,7 @@ impl DatasetPlan {
             exact(self.rate_hz),
             self.feature_seeds,
             self.tests_per_actuator,
+            self.equivalent_current,
         ))
     }
 
@@ -384,14 +399,27 @@ impl DatasetPlan {
         Ok(s.to_toml())
     }
 
+    /// The test of an actuator through a sequence from a rest angle, by their places in the plan.
+    pub fn setup(&self, actuator: usize, sequence: usize, rest: usize) -> TestSetup {
+        TestSetup {
+            actuator: self.actuators[actuator].parameters.clone(),
+            sequence: self.sequences[sequence].clone(),
+            sensors: self.sensors.clone(),
+            rate_hz: self.rate_hz,
+            rest_angle_rad: self.rest_angles_rad[rest],
+            load_n_m: self.load_n_m,
+            equivalent_current: self.equivalent_current,
+        }
+    }
+
     /// Fingerprint of the sensors, or `none`.
     pub fn sensor_fingerprint(&self) -> String {
-        self.sensors.as_ref().map_or("none".into(), SensorModel::fingerprint)
+        SensorModel::fingerprint_of(self.sensors.as_ref())
     }
 }
 
 /// A text as TOML writes it, over several lines.
-fn several_lines(text: &str) -> String {
+pub(super) fn several_lines(text: &str) -> String {
     let escaped = text.replace('\\', "\\\\").replace('"', "\\\"").replace('\r', "\\r");
     format!("\"\"\"\n{escaped}\"\"\"")
 }
@@ -422,8 +450,15 @@ impl KeptTelemetry {
             "test" => (false, true),
             _ => return Err(t.bad("of", of, "all, map or test")),
         };
+        let store = t.text_or("store", "underived")?;
+        let all = match store.as_str() {
+            "underived" => false,
+            "all" => true,
+            _ => return Err(t.bad("store", store, "underived (what others give back is left out), or all")),
+        };
         let has = |list: &[Channel]| list.iter().all(|&c| wanted.contains(c));
         let derived = |c: Channel| match c {
+            _ if all => false,
             Channel::Com => true,
             Channel::ThetaU => measured && has(&[Channel::ThetaM]),
             Channel::IEq => measured && has(&[Channel::IA, Channel::IB, Channel::IC]),
@@ -471,6 +506,15 @@ fn spread(s: &mut Section, assumed: &mut Vec<String>) -> Result<Spreads> {
 /// Tail, position, and what is known of the actuator there.
 type Place = (String, String, Vec<(usize, f64)>);
 
+/// `<tail>.<position>`, or the tail alone where there is no position.
+fn id_of(tail: &str, position: &str) -> String {
+    if position.is_empty() {
+        tail.into()
+    } else {
+        format!("{tail}.{position}")
+    }
+}
+
 /// Tails by positions, then single actuators with what is known of them.
 fn actuators(
     s: &mut Section,
@@ -514,11 +558,11 @@ fn actuators(
     }
     for mut one in s.sections("actuators")? {
         let tail = one.text("tail", PLAIN)?;
-        let position = one.text("position", PLAIN)?;
+        let position = one.text_or("position", "")?;
         if !plain_name(&tail) {
             return Err(one.bad("tail", tail, NAME));
         }
-        if !plain(&position) {
+        if !(position.is_empty() || plain(&position)) {
             return Err(one.bad("position", position, PLAIN));
         }
         let mut known = Vec::new();
@@ -539,27 +583,17 @@ fn actuators(
     }
     // some file systems do not tell upper from lower case
     let mut seen = std::collections::BTreeSet::new();
-    if let Some(p) = places
-        .iter()
-        .find(|p| !seen.insert(format!("{}.{}", p.0, p.1).to_lowercase()))
-    {
-        return Err(s.bad("aircraft", format!("{}.{} twice", p.0, p.1), "each actuator once"));
+    if let Some(p) = places.iter().find(|p| !seen.insert(id_of(&p.0, &p.1).to_lowercase())) {
+        return Err(s.bad("aircraft", format!("{} twice", id_of(&p.0, &p.1)), "each actuator once"));
     }
     let nominal = ActuatorParameters::parse(file, text)?.values();
     let plan = s.file();
     let one = |(tail, position, known): Place| {
-        let id = format!("{tail}.{position}");
+        let id = id_of(&tail, &position);
         let mut values: Vec<(usize, f64)> = Vec::new();
         for &(k, distribution) in spread {
             let drawn = distribution.draw(nominal[k], &mut random(seed, PARAMETERS[k].0, &id));
-            // a share or an efficiency ends at one
-            let most =
-                if ["dynamic_friction_ratio", "opposing_efficiency", "aiding_efficiency"].contains(&PARAMETERS[k].0) {
-                    1.0
-                } else {
-                    f64::INFINITY
-                };
-            values.push((k, drawn.min(most)));
+            values.push((k, drawn.min(parameters::most(k))));
         }
         values.extend(known);
         let mut parameters = ActuatorParameters::parse_with(&format!("{plan}: actuator {id} ({file})"), text, &values)?;

@@ -69,28 +69,14 @@ fn pairs(plan: &DatasetPlan) -> Vec<(String, String)> {
 
 /// Metadata of the telemetry of a part: that of any recording, and the plan.
 pub fn telemetry_pairs(plan: &DatasetPlan, part: &Part, fingerprint_of_plan: &str) -> Vec<(String, String)> {
-    let actuator = &plan.actuators[part.actuator];
-    let sequence = &plan.sequences[part.sequence];
+    let effects = &plan.actuators[part.actuator].parameters.effects;
     let provenance = Provenance {
-        actuator: actuator.id.clone(),
-        parameters: actuator.parameters.fingerprint(),
-        sequence: sequence.name.clone(),
-        sequence_fingerprint: sequence.fingerprint(),
         grid: plan.grid.fingerprint(),
-        sensors: plan.sensor_fingerprint(),
-        effects: actuator
-            .parameters
-            .effects
-            .iter()
-            .map(|e| e.kind.name())
-            .collect::<Vec<_>>()
-            .join(","),
+        effects: effects.iter().map(|e| e.kind.name()).collect::<Vec<_>>().join(","),
         rate_hz: plan.telemetry.as_ref().map_or(plan.rate_hz, |t| t.rate_hz),
-        step_s: actuator.parameters.step_s,
-        load_n_m: plan.load_n_m,
-        seed: plan.seed,
-        commit: format!("source {SOURCE}"),
-        model: "ntb".into(),
+        ..plan
+            .setup(part.actuator, part.sequence, part.rest)
+            .provenance(plan.seed, &format!("source {SOURCE}"))
     };
     let mut pairs = provenance.pairs();
     pairs.push(("ema.plan".into(), fingerprint_of_plan.into()));

@@ -9,8 +9,8 @@ use super::sink::{RunResult, RunSink, Shared, with_sources};
 use super::storage::{Put, Storage};
 use super::tables::{Receipt, Staged, Table, telemetry_pairs};
 use crate::extractor::FeaturePlan;
+use crate::progress::Progress;
 use crate::simulate::{Experiment, Run, simulate};
-use crate::worker::Progress;
 use rayon::prelude::*;
 use schemas::error::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
@@ -43,6 +43,7 @@ pub fn enter(plan: &DatasetPlan, storage: &Storage) -> Result<()> {
     if storage.put_new(PLAN, text)? == Put::Made {
         if let Some(path) = stranger(plan, storage)? {
             storage.delete(PLAN)?;
+            refuse_old(storage)?;
             return Err(Error::bad(
                 storage.describe(),
                 "dataset",
@@ -66,6 +67,18 @@ pub fn enter(plan: &DatasetPlan, storage: &Storage) -> Result<()> {
     ))
 }
 
+/// Refuses a folder that `ema simulate` made when datasets of one actuator had a layout of their own.
+fn refuse_old(storage: &Storage) -> Result<()> {
+    const OLD: &str = "plan.txt";
+    if storage.head(OLD)?.is_none() {
+        return Ok(());
+    }
+    let found = format!("{OLD}, a dataset of version 0.1");
+    let allowed =
+        format!("a dataset with {PLAN}; `ema simulate --out NEW` makes one, its telemetry files stay recordings");
+    Err(Error::bad(storage.describe(), "dataset", found, allowed))
+}
+
 /// An object that is not of a dataset of `plan`. Those of this plan may be there although its text was not:
 /// other workers are quick, and a plan may get lost.
 fn stranger(plan: &DatasetPlan, storage: &Storage) -> Result<Option<String>> {
@@ -76,6 +89,8 @@ fn stranger(plan: &DatasetPlan, storage: &Storage) -> Result<Option<String>> {
             "features/",
             "actuators/",
             "maps/",
+            "maps.parquet",
+            "calibration-",
             "diagnoses/",
             "_staging/",
         ];
@@ -172,7 +187,12 @@ impl FeaturePlans {
             return found;
         }
         let actuator = &plan.actuators[part.actuator].parameters;
-        let made = FeaturePlan::new(actuator, &plan.sequences[part.sequence], plan.rate_hz, false);
+        let made = FeaturePlan::new(
+            actuator,
+            &plan.sequences[part.sequence],
+            plan.rate_hz,
+            plan.equivalent_current,
+        );
         let mut plans = self.plans.lock().expect("no panics");
         // the latest are enough: parts come in the order of actuators
         while plans.len() > 64 {
@@ -204,7 +224,7 @@ impl<'a> Bench<'a> {
         let mut experiments = Vec::new();
         let mut shared = Vec::new();
         for (k, sequence) in plan.sequences.iter().enumerate() {
-            let bare = FeaturePlan::channels_of(false);
+            let bare = FeaturePlan::channels_of(plan.equivalent_current);
             let stored = plan
                 .telemetry
                 .as_ref()
@@ -375,10 +395,11 @@ pub fn work(plan: &DatasetPlan, storage: &Storage, shard: Shard, progress: &Prog
 /// give it another one).
 pub fn plan_of(storage: &Storage) -> Result<(DatasetPlan, String)> {
     let file = format!("{}/{PLAN}", storage.describe());
-    let allowed = "a dataset of a fleet plan (ema dataset make, sim-worker)";
-    let bytes = storage
-        .get(PLAN)?
-        .ok_or_else(|| Error::bad(&file, "file", "nothing", allowed))?;
+    let allowed = "a dataset (ema simulate, ema dataset make, sim-worker)";
+    let Some(bytes) = storage.get(PLAN)? else {
+        refuse_old(storage)?;
+        return Err(Error::bad(&file, "file", "nothing", allowed));
+    };
     let text = String::from_utf8(bytes.to_vec()).map_err(|e| Error::torn(Path::new(&file), e))?;
     let (first, rest) = text.split_once('\n').unwrap_or((&text, ""));
     let fingerprint = first

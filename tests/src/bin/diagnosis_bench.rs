@@ -67,7 +67,7 @@ fn main() -> Result<()> {
 }
 
 fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
-    let (set, kind) = reference_maps(&cache.join("maps"), &options.grid, 0.0)?;
+    let (set, setup) = reference_maps(&cache.join("maps"), &options.grid, 0.0)?;
     let mut out = String::from("# Diagnoses held against what they promise\n\n");
     let _ = writeln!(
         out,
@@ -103,15 +103,15 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
     let step_ns = pipeline::speed::measure().scalar_ns_per_step;
     for name in ["none", "fleet"] {
         let spread = sim_worker::catalogue::spread(name)?;
-        let campaign = Campaign::run(&kind, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
-        let (units, measured) = fresh(&kind, &spread, options.tests, options.seed)?;
+        let campaign = Campaign::run(&setup, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
+        let (units, measured) = fresh(&setup, &spread, options.tests, options.seed)?;
         let diagnoser = calibrated(&set, &campaign)?;
         let cases = judge(&diagnoser, &units, &measured);
         out += &record::coverage(&format!("Spread {name}"), &cases);
         let part = options.refined.min(units.len());
         if part > 0 {
             let _ = writeln!(out, "Against the slow estimator, spread {name}: ");
-            out += &yardstick::compare(&diagnoser, &kind, &spread, &units[..part], &measured[..part])?;
+            out += &yardstick::compare(&diagnoser, &setup, &spread, &units[..part], &measured[..part])?;
         }
         if options.coverage_only {
             continue;
@@ -132,7 +132,7 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
             tables += &record::maps_row(title, &judge(&part, &units, &measured));
         }
         tables.push('\n');
-        tables += &defect_table(&diagnoser, &kind, name)?;
+        tables += &defect_table(&diagnoser, &setup, name)?;
     }
     if options.coverage_only {
         return Ok(out);
@@ -147,7 +147,7 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
     Ok(out)
 }
 
-fn defect_table(diagnoser: &Diagnoser, kind: &pipeline::calibrate::TestKind, name: &str) -> Result<String> {
+fn defect_table(diagnoser: &Diagnoser, setup: &sim_worker::setup::TestSetup, name: &str) -> Result<String> {
     let spread = sim_worker::catalogue::spread(name)?;
     let mut out = format!(
         "## Other defects, spread {name}\n\nSilent miss: located, and the true pair outside.\n\n| hidden | tests | unexplained | out of \
@@ -155,7 +155,7 @@ fn defect_table(diagnoser: &Diagnoser, kind: &pipeline::calibrate::TestKind, nam
     );
     let mut all = Vec::new();
     for defect in Defect::ALL {
-        let cases = defects::tests(diagnoser, kind, &spread, defect, DEFECTS, 1)?;
+        let cases = defects::tests(diagnoser, setup, &spread, defect, DEFECTS, 1)?;
         out += &record::defect_row(defect.title(), &cases);
         all.extend(cases);
     }
@@ -172,9 +172,9 @@ fn at_random_angles(cache: &std::path::Path) -> Result<String> {
          not monotone are left out.\n\n| rest angle | maps | truth inside % | width FSJ | width zeta |\n|---|---|---|---|---|\n",
     );
     for degrees in [20.0, 45.0, 77.0, 200.0, 311.0_f64] {
-        let (set, kind) = reference_maps(&cache.join(format!("maps-{degrees}")), "fine", degrees.to_radians())?;
-        let campaign = Campaign::run(&kind, &spread, Effort::QUICK, FSJ, ZETA)?.context("interrupted")?;
-        let (units, measured) = fresh(&kind, &spread, 200, degrees as u64)?;
+        let (set, setup) = reference_maps(&cache.join(format!("maps-{degrees}")), "fine", degrees.to_radians())?;
+        let campaign = Campaign::run(&setup, &spread, Effort::QUICK, FSJ, ZETA)?.context("interrupted")?;
+        let (units, measured) = fresh(&setup, &spread, 200, degrees as u64)?;
         let cases = judge(&calibrated(&set, &campaign)?, &units, &measured);
         let inside = cases.iter().filter(|c| c.inside).count();
         let width =

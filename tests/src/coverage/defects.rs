@@ -3,10 +3,11 @@
 use super::{Case, FSJ, ZETA, judge};
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
-use pipeline::calibrate::{TestKind, draw_units, simulate_features};
+use pipeline::calibrate::{draw_units, simulate_features};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::setup::TestSetup;
 use sim_worker::spread::Spread;
 use sim_worker::test_bench::Lane;
 use std::f64::consts::TAU;
@@ -73,7 +74,7 @@ impl Defect {
 /// Tests of `n` random units with a defect, at random faults.
 pub fn tests(
     diagnoser: &Diagnoser,
-    kind: &TestKind,
+    setup: &TestSetup,
     spread: &Spread,
     defect: Defect,
     n: usize,
@@ -84,16 +85,16 @@ pub fn tests(
     let units = draw_units(FSJ, ZETA, spread, n, seed);
     let mut lanes = Vec::new();
     for u in &units {
-        let (unit, rest_angle_rad) = spread.unit(&kind.actuator, kind.rest_angle_rad, &u.draw);
+        let (unit, rest_angle_rad) = spread.unit(&setup.actuator, setup.rest_angle_rad, &u.draw);
         let actuator = Arc::new(defect.hidden_in(&unit, &mut rng)?);
         let lane = Lane {
             actuator,
             fault: u.fault,
             rest_angle_rad,
-            load_n_m: kind.load_n_m,
+            load_n_m: setup.load_n_m,
         };
         lanes.push((lane, u.seed));
     }
-    let measured = simulate_features(kind, lanes, defect.title())?.context("interrupted")?;
+    let measured = simulate_features(setup, lanes, defect.title())?.context("interrupted")?;
     Ok(judge(diagnoser, &units, &measured))
 }

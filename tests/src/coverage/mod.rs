@@ -8,10 +8,12 @@ pub mod yardstick;
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::{COVERAGE, Diagnoser, Outcome};
 use diagnoser::failure_map::FailureMapSet;
-use pipeline::calibrate::{Campaign, TestKind, Unit, draw_units, measure};
+use pipeline::calibrate::{Campaign, Unit, draw_units, measure};
 use pipeline::maps::{MapRequest, made};
 use schemas::feature::{Feature, RawFeatures};
+use sim_worker::catalogue;
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::setup::TestSetup;
 use sim_worker::spread::Spread;
 use std::path::Path;
 use std::sync::Arc;
@@ -21,18 +23,16 @@ pub const FSJ: (f64, f64) = (1.0, 5.0);
 pub const ZETA: (f64, f64) = (0.0, 0.5);
 
 /// Maps of the reference actuator through the reference sensors, at a rest angle.
-pub fn reference_maps(dir: &Path, grid: &str, rest_angle_rad: f64) -> Result<(FailureMapSet, TestKind)> {
+pub fn reference_maps(dir: &Path, grid: &str, rest_angle_rad: f64) -> Result<(FailureMapSet, TestSetup)> {
     let actuator = Arc::new(ActuatorParameters::reference());
-    let request = MapRequest {
-        actuator,
-        sequence: sim_worker::catalogue::sequence("preflight")?,
-        rate_hz: 1e4,
-        sensors: sim_worker::catalogue::sensors("reference")?,
+    let setup = TestSetup {
+        sensors: catalogue::sensors("reference")?,
         rest_angle_rad,
-        equivalent_current: false,
-        grid: sim_worker::catalogue::grid(grid)?,
+        ..TestSetup::new(actuator, catalogue::sequence("preflight")?, 1e4)
     };
-    Ok((made(dir, &request)?, request.kind()))
+    let grid = catalogue::grid(grid)?;
+    let request = MapRequest { setup, grid };
+    Ok((made(dir, &request)?, request.setup))
 }
 
 /// The same maps without those of some features.
@@ -82,10 +82,10 @@ pub fn judge(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) ->
 }
 
 /// Fresh tests of random units.
-pub fn fresh(kind: &TestKind, spread: &Spread, n: usize, seed: u64) -> Result<(Vec<Unit>, Vec<RawFeatures>)> {
+pub fn fresh(setup: &TestSetup, spread: &Spread, n: usize, seed: u64) -> Result<(Vec<Unit>, Vec<RawFeatures>)> {
     // far from every seed that a calibration draws from
     let units = draw_units(FSJ, ZETA, spread, n, 0xF4E5_8000_0000_0000 ^ seed);
-    let measured = measure(kind, spread, &units, "fresh tests")?.context("interrupted")?;
+    let measured = measure(setup, spread, &units, "fresh tests")?.context("interrupted")?;
     Ok((units, measured))
 }
 

@@ -3,9 +3,10 @@
 use super::quantile;
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
-use pipeline::calibrate::{TestKind, Unit};
+use pipeline::calibrate::Unit;
 use pipeline::refine::{Start, Test, refine};
 use schemas::feature::RawFeatures;
+use sim_worker::setup::TestSetup;
 use sim_worker::spread::Spread;
 use std::fmt::Write;
 
@@ -38,7 +39,7 @@ fn stretch(pairs: &[Pair], of: Of, share: f64) -> f64 {
 /// Table of widths at equal coverage.
 pub fn compare(
     diagnoser: &Diagnoser,
-    kind: &TestKind,
+    setup: &TestSetup,
     spread: &Spread,
     units: &[Unit],
     measured: &[RawFeatures],
@@ -49,7 +50,7 @@ pub fn compare(
         let d = diagnoser.diagnose(&features, &[]);
         let Some(area) = d.outcome.area() else { continue };
         let test = Test {
-            kind,
+            setup,
             nominal: &diagnoser.maps.nominal,
             features: &features,
             spread,
