@@ -14,6 +14,7 @@ use schemas::fault::FaultGrid;
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::recording::{Provenance, metadata};
 use schemas::sequence::{Command, TestSequence};
+use sim_worker::cache::cache_dir;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;
 use sim_worker::simulate::Experiment;
@@ -68,15 +69,6 @@ impl MapRequest {
             equivalent_current: self.equivalent_current,
         })
     }
-}
-
-/// Folder of cached maps: `EMA_CACHE_DIR`, else `XDG_CACHE_HOME/ema`, else `~/.cache/ema`.
-pub fn cache_dir() -> PathBuf {
-    let var = |k: &str| std::env::var_os(k).filter(|v| !v.is_empty()).map(PathBuf::from);
-    var("EMA_CACHE_DIR")
-        .or_else(|| var("XDG_CACHE_HOME").map(|p| p.join("ema")))
-        .or_else(|| var("HOME").map(|p| p.join(".cache/ema")))
-        .unwrap_or_else(|| std::env::temp_dir().join("ema-cache"))
 }
 
 /// Maps for a request from the cache, made and calibrated on first use.
