@@ -279,7 +279,7 @@ fn role_live(diagnoses: u64, busy: bool, core: Option<usize>) {
         sequences: vec![sim_worker::catalogue::sequence("preflight").unwrap()],
         sensors: vec![sensors.fingerprint()],
     };
-    let library = MapLibrary::cache(&maps::cache_dir().join("maps"));
+    let library = MapLibrary::cache(&sim_worker::cache::cache_dir().join("maps"));
     let options = Options {
         domain: domain(),
         known,

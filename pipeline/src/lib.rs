@@ -1,4 +1,4 @@
-//! The ground side: datasets, maps, diagnoses of recordings, queries, reports, and the program `ema`.
+//! The ground side: datasets, maps, diagnoses of recordings, reports, and the program `ema`.
 pub mod bench_live;
 pub mod bridge;
 pub mod calibrate;
@@ -10,7 +10,6 @@ pub mod discrepancy;
 pub mod input;
 pub mod maps;
 pub mod output;
-pub mod query;
 pub mod refine;
 pub mod replay;
 pub mod report;

@@ -12,11 +12,12 @@ use schemas::fault::FaultGrid;
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::fingerprint::fingerprint;
 use schemas::sequence::{Command, TestSequence};
+use sim_worker::cache::cache_dir;
 use sim_worker::dataset::one::OneActuator;
 use sim_worker::dataset::plan::DatasetPlan;
 use sim_worker::dataset::storage::Storage;
 use sim_worker::setup::TestSetup;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Hash of the sources that saved maps depend on beyond the features that they are made of.
 const SOURCE: &str = env!("EMA_SOURCE");
@@ -40,15 +41,6 @@ impl MapRequest {
             telemetry: None,
         })?)
     }
-}
-
-/// Folder of cached maps: `EMA_CACHE_DIR`, else `XDG_CACHE_HOME/ema`, else `~/.cache/ema`.
-pub fn cache_dir() -> PathBuf {
-    let var = |k: &str| std::env::var_os(k).filter(|v| !v.is_empty()).map(PathBuf::from);
-    var("EMA_CACHE_DIR")
-        .or_else(|| var("XDG_CACHE_HOME").map(|p| p.join("ema")))
-        .or_else(|| var("HOME").map(|p| p.join(".cache/ema")))
-        .unwrap_or_else(|| std::env::temp_dir().join("ema-cache"))
 }
 
 /// Maps for a request from the cache, made and calibrated on first use.

@@ -1,6 +1,7 @@
 //! The physics of an electromechanical actuator: the numerical test bench, the simplified model,
 //! their faults and sensors, the engine that runs them over lanes, the features of a run, and (with
 //! the feature `dataset`) the program that works through its share of a dataset.
+pub mod cache;
 pub mod catalogue;
 pub mod command;
 pub mod control;

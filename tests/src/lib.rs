@@ -15,7 +15,7 @@ use schemas::telemetry::Collector;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::simulate::{Experiment, Run, simulate};
 use sim_worker::test_bench::Lane;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The folder named by an environment variable, or `None` after saying that the test is skipped.
@@ -26,6 +26,24 @@ pub fn folder(variable: &str) -> Option<PathBuf> {
             println!("skipped: {variable} not set");
             None
         }
+    }
+}
+
+/// Programs under test in one folder by the names that users call them: `ema` looks for `ema-query` beside itself.
+///
+/// * `dir` made if it is not there; on the file system of the programs, which are linked
+/// * `programs` name, and what is linked
+pub fn programs(dir: &Path, programs: &[(&str, &str)]) {
+    std::fs::create_dir_all(dir).unwrap();
+    for (name, program) in programs {
+        let to = dir.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+        // under the name at once: other test programs do the same
+        let new = dir.join(format!(".{name}.new-{}", std::process::id()));
+        let _ = std::fs::remove_file(&new);
+        std::fs::hard_link(program, &new).unwrap();
+        std::fs::rename(&new, &to).unwrap();
+        // a rename onto the same file leaves both names
+        let _ = std::fs::remove_file(&new);
     }
 }
 
@@ -72,7 +90,7 @@ pub fn relative_rms(truth: &[f64], other: &[f64]) -> f64 {
 }
 
 /// A telemetry CSV as columns in the order of the basic channels, after the time.
-pub fn read_csv(path: &std::path::Path) -> Vec<Vec<f64>> {
+pub fn read_csv(path: &Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap();
     let mut columns = vec![Vec::new(); 9];
     for line in text.lines().skip(1) {

@@ -1,14 +1,29 @@
 //! `ema` as a process: datasets that survive kills, diagnoses, refusals.
 
+use ema_tests::programs;
 use schemas::recording::Recording;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::sync::OnceLock;
 use std::time::Duration;
 
+const EMA: &str = env!("CARGO_BIN_EXE_ema-under-test");
+const QUERY: &str = env!("CARGO_BIN_EXE_query-under-test");
+
+/// `ema`, with `ema-query` beside it.
+fn program() -> &'static Path {
+    static ONCE: OnceLock<PathBuf> = OnceLock::new();
+    ONCE.get_or_init(|| {
+        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("programs");
+        programs(&dir, &[("ema", EMA), ("ema-query", QUERY)]);
+        dir.join("ema")
+    })
+}
+
 fn ema(cache: &Path) -> Command {
-    let mut c = Command::new(env!("CARGO_BIN_EXE_ema-under-test"));
+    let mut c = Command::new(program());
     c.env("EMA_CACHE_DIR", cache).stdin(Stdio::null());
     c
 }
@@ -334,6 +349,66 @@ fn e2e_outcomes() {
     let d = json(&["diagnose", text(&alien), "--json"]);
     assert!(d["outcome"] == "unexplained" || d["outcome"] == "out_of_range", "{d}");
     assert!(!d["reason"].as_str().unwrap().is_empty());
+}
+
+#[test]
+fn e2e_a_query_passes_its_exit_code_and_output_through() {
+    // ema alone in its folder, and the other program in PATH
+    let dir = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+    let [here, there] = ["here", "there"].map(|n| dir.path().join(n));
+    programs(&here, &[("ema", EMA)]);
+    programs(&there, &[("ema-query", QUERY)]);
+    let ask = |args: &[&str]| {
+        let o = Command::new(here.join("ema"))
+            .env("PATH", &there)
+            .arg("query")
+            .args(args)
+            .stdin(Stdio::null())
+            .output()
+            .unwrap();
+        let [out, err] = [o.stdout, o.stderr].map(|b| String::from_utf8(b).unwrap());
+        (o.status.code(), out, err)
+    };
+    let (code, out, err) = ask(&["--list"]);
+    assert_eq!((code, err.as_str()), (Some(0), ""));
+    assert!(out.contains("tables for SQL:"), "{out}");
+    let (code, out, _) = ask(&["--help"]);
+    assert_eq!(code, Some(0));
+    assert!(
+        out.contains("Usage: ema query") && out.contains("Ready questions:"),
+        "{out}"
+    );
+    let (code, out, err) = ask(&[]);
+    assert_eq!((code, out.as_str()), (Some(2), ""));
+    assert!(err.contains("Usage: ema query"), "{err}");
+    // what follows -- is no option, there either
+    for args in [&["no-question"][..], &["--", "--no-question"]] {
+        let (code, out, err) = ask(args);
+        assert_eq!((code, out.as_str()), (Some(4), ""), "{err}");
+        assert!(err.starts_with("ema: "), "{err}");
+        assert_eq!(err.lines().count(), 1, "{err}");
+    }
+}
+
+#[test]
+fn refuse_query_without_its_program_names_the_command_that_builds_it() {
+    let dir = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+    programs(dir.path(), &[("ema", EMA)]);
+    let ema = || Command::new(dir.path().join("ema"));
+    for args in [&["query", "--list"][..], &["query", "--help"], &["query"]] {
+        let o = ema().env("PATH", dir.path()).args(args).output().unwrap();
+        let err = String::from_utf8(o.stderr).unwrap();
+        assert_eq!(o.status.code(), Some(4), "{err}");
+        assert_eq!(o.stdout, b"");
+        assert_eq!(err.lines().count(), 1, "{err}");
+        for word in ["ema: ", "`ema-query`", "cargo build --release -p ema-query"] {
+            assert!(err.contains(word), "no `{word}` in {err}");
+        }
+    }
+    // it is a command of ema all the same
+    let o = ema().arg("--help").output().unwrap();
+    let help = String::from_utf8(o.stdout).unwrap();
+    assert!(help.contains("SQL and ready questions over a dataset"), "{help}");
 }
 
 #[test]

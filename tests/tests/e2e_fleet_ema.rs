@@ -2,14 +2,28 @@
 //! them.
 
 use ema_tests::fleet::{files, same};
+use ema_tests::programs;
 use ema_tests::s3::S3Server;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
+const EMA: &str = env!("CARGO_BIN_EXE_ema-under-test");
+const QUERY: &str = env!("CARGO_BIN_EXE_query-under-test");
+
+/// `ema`, with `ema-query` beside it.
+fn program() -> &'static Path {
+    static ONCE: OnceLock<PathBuf> = OnceLock::new();
+    ONCE.get_or_init(|| {
+        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("programs");
+        programs(&dir, &[("ema", EMA), ("ema-query", QUERY)]);
+        dir.join("ema")
+    })
+}
+
 fn ema(args: &[&str]) -> Command {
-    let mut c = Command::new(env!("CARGO_BIN_EXE_ema-under-test"));
+    let mut c = Command::new(program());
     let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("ema-cache");
     c.env("EMA_CACHE_DIR", cache).stdin(Stdio::null()).args(args);
     c

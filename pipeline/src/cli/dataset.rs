@@ -3,7 +3,7 @@
 use super::{list, say};
 use crate::dataset::diagnose::{Diagnosed, by_own_maps, by_type};
 use crate::dataset::estimate::{estimate, to_json, to_text};
-use crate::dataset::{Dataset, copy, export};
+use crate::dataset::{Dataset, export};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::calibration::COVERAGE;
@@ -11,6 +11,7 @@ use diagnoser::failure_map::FailureMapSet;
 use diagnoser::map_library::Choice;
 use schemas::error::{EXIT_LOSS, Error};
 use serde_json::json;
+use sim_worker::dataset::copy::copy;
 use sim_worker::dataset::merge::{Merged, merge};
 use sim_worker::dataset::plan::DatasetPlan;
 use sim_worker::dataset::program::{end_when_interrupted, missing, missing_of, summary, work_shown};
@@ -130,7 +131,7 @@ pub fn dataset(command: &DatasetCommand) -> Result<ExitCode> {
             Ok(ExitCode::SUCCESS)
         }
         DatasetCommand::Copy(a) => {
-            let c = copy::copy(&Storage::open(&a.from)?, &Storage::open(&a.to)?)?;
+            let c = copy(&Storage::open(&a.from)?, &Storage::open(&a.to)?)?.ok_or(crate::Interrupted)?;
             let there = if c.there > 0 {
                 format!(", {} were there", c.there)
             } else {

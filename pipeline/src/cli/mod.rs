@@ -101,12 +101,8 @@ enum Commands {
     )]
     Dataset(dataset::DatasetCommand),
     /// SQL and ready questions over a dataset
-    #[command(
-        after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature); of a fleet also\n\
-        actuators, diagnoses, intervals. Ready questions: ema query --list\n\
-        Example: ema query \"SELECT zeta, AVG(p2_a) AS p2 FROM features GROUP BY zeta ORDER BY zeta\" --data dataset\n\
-        Example: ema query out-of-family --data fleet"
-    )]
+    // whose options are the other program's: it has the help, too
+    #[command(disable_help_flag = true)]
     Query(query::QueryArgs),
 }
 
@@ -188,7 +184,7 @@ pub fn main() -> ExitCode {
         Commands::Discrepancy(a) => discrepancy::discrepancy(&a),
         Commands::Plan(a) => dataset::plan(&a),
         Commands::Dataset(a) => dataset::dataset(&a),
-        Commands::Query(a) => query::query(&a),
+        Commands::Query(_) => query::query(),
     };
     result.unwrap_or_else(|e| {
         // a closed pipe (ema ... | head) is not worth a word

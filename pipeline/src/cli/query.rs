@@ -1,122 +1,93 @@
-//! `ema query`.
+//! `ema query` is another program, `ema-query`: polars is much of what there is to compile.
 
-use super::say;
-use crate::dataset::copy::mirror;
-use crate::maps::cache_dir;
-use crate::query::{Answer, Question, Table, explain, output, query as sql};
 use anyhow::Result;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use schemas::error::Error;
-use sim_worker::dataset::storage::Storage;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Format {
-    Table,
-    Csv,
-    Json,
-    Parquet,
-}
+use std::process::{Command, ExitCode};
 
 #[derive(Args)]
 pub struct QueryArgs {
-    /// One SQL statement (polars SQL), or the name of a ready question
-    #[arg(required_unless_present = "list")]
-    ask: Option<String>,
-    /// The ready questions and the tables
-    #[arg(long)]
-    list: bool,
-    /// Dataset: a folder, or s3://BUCKET/PREFIX (its tables are fetched into the cache; telemetry is not)
-    #[arg(long, default_value = ".")]
-    data: PathBuf,
-    /// Second dataset, for questions that compare
-    #[arg(long)]
-    with: Option<PathBuf>,
-    #[arg(long, value_enum, default_value_t = Format::Table)]
-    format: Format,
-    /// Rows that a table shows, 0 for all
-    #[arg(long, default_value_t = 200)]
-    rows: usize,
-    /// File instead of standard output; needed for Parquet
-    #[arg(long)]
-    out: Option<PathBuf>,
-    /// Print the optimised plan, what is read from which files, instead of an answer
-    #[arg(long)]
-    explain: bool,
+    /// What the program `ema-query` is started with; ema query --help says more
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    args: Vec<OsString>,
 }
 
-/// The folder that a query reads: a dataset in a bucket is mirrored first.
-fn folder(place: &Path) -> Result<PathBuf> {
-    match place.to_str().filter(|t| t.contains("://")) {
-        Some(url) => mirror(&Storage::open(url)?, &cache_dir()),
-        None => Ok(place.to_path_buf()),
-    }
+/// Hands over to `ema-query`: its streams, its exit code.
+pub fn query() -> Result<ExitCode> {
+    let here = std::env::current_exe().ok();
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let program = find(here.as_deref(), &path).ok_or_else(|| {
+        let allowed = "it beside ema or in PATH (cargo build --release -p ema-query)";
+        Error::bad("ema query", "program `ema-query`", "nothing", allowed)
+    })?;
+    let mut command = Command::new(&program);
+    // as they are: clap has taken the first `--` for itself
+    command.args(std::env::args_os().skip_while(|a| a != "query").skip(1));
+    let failed = |e| Error::io(&program, "cannot be started", e).into();
+    become_it(&mut command).map_err(failed)
 }
 
-pub fn query(a: &QueryArgs) -> Result<ExitCode> {
-    if a.list {
-        say(&list());
-        return Ok(ExitCode::SUCCESS);
-    }
-    let data = folder(&a.data)?;
-    let with = a.with.as_deref().map(folder).transpose()?;
-    let ask = a.ask.as_deref().unwrap_or_default();
-    let question = Question::from_text(ask)?;
-    if let (None, Some(with)) = (question, &with) {
-        let allowed = "only with a ready question that compares";
-        return Err(Error::bad("command line", "--with", with.display(), allowed).into());
-    }
-    if a.explain {
-        say(&match question {
-            Some(q) => q.explain(&data, with.as_deref())?,
-            None => explain(&data, ask)?,
-        });
-        return Ok(ExitCode::SUCCESS);
-    }
-    let mut answer = match question {
-        Some(q) => q.ask(&data, with.as_deref())?,
-        None => Answer {
-            frame: sql(&data, ask)?,
-            notes: Vec::new(),
-        },
-    };
-    let text = match a.format {
-        Format::Table => output::to_table(&answer.frame, a.rows),
-        Format::Csv => output::to_csv(&answer.frame)?,
-        Format::Json => output::to_json(&answer.frame)?,
-        Format::Parquet => {
-            let allowed = "--out FILE.parquet";
-            let out = a
-                .out
-                .as_ref()
-                .ok_or_else(|| Error::bad("command line", "--out", "nothing", allowed))?;
-            output::write_parquet(&mut answer.frame, out)?;
-            String::new()
+/// The program beside `here`, that of the same build, or else the first in `path`.
+fn find(here: Option<&Path>, path: &OsStr) -> Option<PathBuf> {
+    let name = format!("ema-query{}", std::env::consts::EXE_SUFFIX);
+    let beside = here.and_then(Path::parent).map(Path::to_path_buf);
+    // an empty folder would be the current one
+    let folders = beside.into_iter().chain(std::env::split_paths(path));
+    let named = folders.filter(|f| !f.as_os_str().is_empty());
+    named.map(|f| f.join(&name)).find(|p| p.is_file())
+}
+
+#[cfg(unix)]
+fn become_it(command: &mut Command) -> std::io::Result<ExitCode> {
+    use std::os::unix::process::CommandExt;
+    Err(command.exec())
+}
+
+#[cfg(not(unix))]
+fn become_it(command: &mut Command) -> std::io::Result<ExitCode> {
+    let code = command.status()?.code().and_then(|c| u8::try_from(c).ok());
+    Ok(ExitCode::from(code.unwrap_or(1)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Cli;
+    use super::*;
+    use clap::Parser;
+
+    #[test]
+    fn the_program_beside_comes_before_those_in_path() {
+        let dir = tempfile::tempdir().unwrap();
+        let name = format!("ema-query{}", std::env::consts::EXE_SUFFIX);
+        let [here, first, second] = ["here", "first", "second"].map(|n| dir.path().join(n));
+        for folder in [&here, &first, &second] {
+            std::fs::create_dir(folder).unwrap();
         }
-    };
-    match &a.out {
-        _ if matches!(a.format, Format::Parquet) => {}
-        Some(path) => schemas::error::write_whole(path, format!("{}\n", text.trim_end()).as_bytes())?,
-        None => say(&text),
+        let ema = here.join("ema");
+        let path = std::env::join_paths([Path::new(""), &first, &second]).unwrap();
+        let found = || find(Some(&ema), &path);
+        assert_eq!(found(), None);
+        for folder in [&second, &first, &here] {
+            std::fs::write(folder.join(&name), "").unwrap();
+            assert_eq!(found(), Some(folder.join(&name)));
+        }
+        assert_eq!(find(None, OsStr::new("")), None);
     }
-    // beside the answer, so that a file or pipe holds the table only
-    for note in &answer.notes {
-        crate::progress::note(&format!("note: {note}"));
-    }
-    Ok(ExitCode::SUCCESS)
-}
 
-/// Name, meaning and tables of every question, and what the tables are.
-fn list() -> String {
-    let mut out = String::new();
-    for q in Question::ALL {
-        let tables: Vec<&str> = q.needs().iter().map(|t| t.name()).collect();
-        out += &format!("{:22} {} [{}]\n", q.name(), q.meaning(), tables.join(", "));
+    #[test]
+    fn whatever_is_asked_is_left_to_the_other_program() {
+        for args in [
+            &[][..],
+            &["--help"],
+            &["-h"],
+            &["--list"],
+            &["SELECT 1", "--data", "d"],
+            &["--", "--", "-1"],
+        ] {
+            let all = ["ema", "query"].iter().chain(args);
+            assert!(Cli::try_parse_from(all).is_ok(), "{args:?}");
+        }
     }
-    out += "\ntables for SQL:\n";
-    for t in Table::ALL {
-        out += &format!("{:22} {}\n", t.name(), t.meaning());
-    }
-    out
 }

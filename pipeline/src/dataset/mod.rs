@@ -1,6 +1,5 @@
 //! Datasets on the ground: what a plan will cost, maps and diagnoses of every actuator, single runs.
 
-pub mod copy;
 pub mod diagnose;
 pub mod estimate;
 pub mod export;

@@ -89,7 +89,7 @@ pub fn score(class: Class, said: &Said, hidden: &[Hidden]) -> Score {
     }
 }
 
-pub use pipeline::query::stats::wilson;
+pub use ema_query::stats::wilson;
 
 #[cfg(test)]
 mod tests {

@@ -1,5 +1,5 @@
 use super::{near, number, row, truth, word, write};
-use crate::query::{Question, output};
+use crate::{Question, output};
 use polars::prelude::*;
 use std::path::Path;
 use tempfile::tempdir;
@@ -382,7 +382,7 @@ fn a_table_for_reading_is_rounded_and_says_what_it_does_not_show() {
 
 #[test]
 fn the_normal_tail_is_that_of_tables() {
-    use crate::query::stats::normal_beyond;
+    use crate::stats::normal_beyond;
     for (p, x) in [(0.025, 1.959964), (1.349898e-3, 3.0), (2.866516e-7, 5.0)] {
         assert!((normal_beyond(p) - x).abs() < 1e-5, "{p}: {}", normal_beyond(p));
     }

@@ -1,8 +1,8 @@
 //! Spread of the paper's features over the fleet, by fault pair.
 
 use super::{Answer, answer as table, counts, numbers, words};
-use crate::query::fleet::{self, Fleet};
-use crate::query::stats;
+use crate::fleet::{self, Fleet};
+use crate::stats;
 use anyhow::Result;
 use polars::prelude::*;
 use rayon::prelude::*;

@@ -1,14 +1,14 @@
 //! Copies a finished dataset from one place to another, checking what is read; resumes. And mirrors the tables of
 //! one in a bucket, for queries.
 
-use anyhow::Result;
+use super::layout::{MANIFEST, PLAN};
+use super::manifest::{File, Manifest};
+use super::storage::{Put, Storage};
+use crate::progress::interrupted;
 use bytes::Bytes;
 use rayon::prelude::*;
-use schemas::error::Error;
+use schemas::error::{Error, Result};
 use schemas::fingerprint::{checksum, fingerprint_bytes};
-use sim_worker::dataset::layout::{MANIFEST, PLAN};
-use sim_worker::dataset::manifest::{File, Manifest};
-use sim_worker::dataset::storage::{Put, Storage};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -20,19 +20,20 @@ pub struct Copied {
     pub there: u64,
 }
 
-/// Copies the files of the manifest, tables made later (maps, diagnoses), and the manifest last.
+/// Copies the files of the manifest, tables made later (maps, diagnoses), and the manifest last. `None` when
+/// interrupted: what was copied is kept.
 ///
 /// # Errors
 /// A dataset that is not finished, a file whose checksum is not that of the manifest, another dataset at the
 /// place where it should go.
-pub fn copy(from: &Storage, to: &Storage) -> Result<Copied> {
+pub fn copy(from: &Storage, to: &Storage) -> Result<Option<Copied>> {
     let allowed = "a finished dataset (ema dataset merge)";
     let unfinished = || Error::bad(from.describe(), MANIFEST, "nothing", allowed);
     let manifest = Manifest::read(from)?.ok_or_else(unfinished)?;
     let plan = get(from, PLAN)?;
     if to.put_new(PLAN, plan.clone())? == Put::Existed && to.get(PLAN)? != Some(plan) {
         let allowed = "nothing, or the same dataset";
-        return Err(Error::bad(to.describe(), PLAN, "another plan", allowed).into());
+        return Err(Error::bad(to.describe(), PLAN, "another plan", allowed));
     }
     let (bytes, files, there) = (AtomicU64::new(0), AtomicU64::new(0), AtomicU64::new(0));
     let count = |size: usize| {
@@ -40,8 +41,8 @@ pub fn copy(from: &Storage, to: &Storage) -> Result<Copied> {
         bytes.fetch_add(size as u64, Ordering::Relaxed);
     };
     manifest.files.par_iter().try_for_each(|f| -> Result<()> {
-        if crate::progress::interrupted() {
-            return Err(crate::Interrupted.into());
+        if interrupted() {
+            return Ok(());
         }
         if to.head(&f.path)? == Some(f.bytes) {
             there.fetch_add(1, Ordering::Relaxed);
@@ -52,17 +53,20 @@ pub fn copy(from: &Storage, to: &Storage) -> Result<Copied> {
         to.put_new(&f.path, content)?;
         Ok(())
     })?;
+    if interrupted() {
+        return Ok(None);
+    }
     for (path, _) in from.list("maps")?.into_iter().chain(from.list("diagnoses")?) {
         let content = get(from, &path)?;
         count(content.len());
         to.replace(&path, content)?;
     }
     to.put_new(MANIFEST, manifest.to_bytes())?;
-    Ok(Copied {
+    Ok(Some(Copied {
         files: files.into_inner(),
         bytes: bytes.into_inner(),
         there: there.into_inner(),
-    })
+    }))
 }
 
 /// The tables of a dataset in a bucket as a folder that queries read, telemetry left out. What the manifest
@@ -92,7 +96,7 @@ pub fn mirror(from: &Storage, cache: &Path) -> Result<PathBuf> {
 
 fn get(from: &Storage, path: &str) -> Result<Bytes> {
     let missing = || Error::bad(from.url(path), "file", "nothing", "that of the manifest");
-    Ok(from.get(path)?.ok_or_else(missing)?)
+    from.get(path)?.ok_or_else(missing)
 }
 
 /// A file of the manifest, with the checksum that it says.
@@ -100,7 +104,7 @@ fn checked(from: &Storage, file: &File) -> Result<Bytes> {
     let content = get(from, &file.path)?;
     if checksum(&content) != file.blake3 {
         let allowed = "that of the manifest (ema dataset verify)";
-        return Err(Error::bad(from.url(&file.path), "checksum", "another one", allowed).into());
+        return Err(Error::bad(from.url(&file.path), "checksum", "another one", allowed));
     }
     Ok(content)
 }

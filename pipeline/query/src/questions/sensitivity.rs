@@ -1,8 +1,8 @@
 //! How far each feature moves with each fault, by region of the fault plane.
 
 use super::{Answer, answer as table, counts, numbers, region, words};
-use crate::query::fleet::{self, Fleet, Groups};
-use crate::query::stats;
+use crate::fleet::{self, Fleet, Groups};
+use crate::stats;
 use anyhow::Result;
 use polars::prelude::*;
 use rayon::prelude::*;

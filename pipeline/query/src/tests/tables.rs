@@ -1,5 +1,5 @@
 use super::{near, number, truth, word, write};
-use crate::query::{explain, query};
+use crate::{explain, query};
 use arrow::array::{ArrayRef, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
 use parquet::arrow::ArrowWriter;
 use parquet::file::reader::{FileReader, SerializedFileReader};

@@ -1,8 +1,8 @@
 //! How good the diagnoses of a fleet are: by tail number, and by region of the fault plane.
 
 use super::{Answer, answer as table, counts, numbers, region, words};
-use crate::query::fleet::{floats, texts};
-use crate::query::{Table, stats};
+use crate::fleet::{floats, texts};
+use crate::{Table, stats};
 use anyhow::Result;
 use polars::prelude::*;
 use std::collections::BTreeMap;

@@ -12,8 +12,8 @@
 //! over all actuators and features, is 5 %.
 
 use super::{Answer, answer as table, counts, falling, numbers, words};
-use crate::query::fleet::{self, Fleet, texts};
-use crate::query::{Table, stats};
+use crate::fleet::{self, Fleet, texts};
+use crate::{Table, stats};
 use anyhow::Result;
 use polars::prelude::*;
 use rayon::prelude::*;

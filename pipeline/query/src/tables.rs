@@ -1,6 +1,5 @@
 //! The tables of a dataset folder, of `ema simulate` (one actuator) and of `ema dataset` (a fleet).
 
-use crate::maps::scan;
 use anyhow::Result;
 use polars::prelude::*;
 use schemas::error::Error;
@@ -109,6 +108,12 @@ impl Table {
             Self::Actuators | Self::Maps | Self::Diagnoses => scan(&pattern),
         }
     }
+}
+
+/// A path that polars takes as a pattern only where it is meant as one.
+fn scan(pattern: &Path) -> Result<LazyFrame> {
+    let path = PlRefPath::new(pattern.to_string_lossy());
+    LazyFrame::scan_parquet(path, ScanArgsParquet::default()).map_err(|e| Error::torn(pattern, e).into())
 }
 
 /// Names of the columns of a lazy table.

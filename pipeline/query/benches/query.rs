@@ -2,8 +2,8 @@
 //! tests), warm, beside controls in the same run: the same columns read and not used, and SQL over the same files.
 
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt64Array};
+use ema_query::{Question, query};
 use parquet::arrow::ArrowWriter;
-use pipeline::query::{Question, query};
 use polars::prelude::Engine;
 use std::path::Path;
 use std::sync::Arc;

@@ -4,7 +4,10 @@
 //! that only the folders, row groups and columns that are needed are read. Questions read their columns
 //! the same way and do their statistics here, on dense group numbers: medians over a fleet need grouped
 //! values more than they need a query engine.
+//!
+//! A package and a program of its own: who simulates, builds maps and diagnoses compiles no query engine.
 
+pub mod cli;
 pub mod fleet;
 pub mod output;
 pub mod questions;

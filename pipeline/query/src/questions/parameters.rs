@@ -1,8 +1,8 @@
 //! How the features of the healthy actuator follow its drawn parameters.
 
 use super::{Answer, answer as table, counts, falling, numbers, words};
-use crate::query::fleet::{self, Fleet, floats, texts};
-use crate::query::{Table, stats};
+use crate::fleet::{self, Fleet, floats, texts};
+use crate::{Table, stats};
 use anyhow::Result;
 use polars::prelude::*;
 use schemas::feature::{Feature, RawFeatures};

@@ -1,9 +1,9 @@
 //! How far maps have moved from one dataset to another.
 
 use super::{Answer, answer as table, counts, falling, numbers, words};
-use crate::query::Table;
-use crate::query::fleet::{self, Fleet, Groups};
-use crate::query::stats;
+use crate::Table;
+use crate::fleet::{self, Fleet, Groups};
+use crate::stats;
 use anyhow::Result;
 use polars::prelude::*;
 use rayon::prelude::*;
