@@ -8,7 +8,7 @@ use schemas::channel::Channel;
 use schemas::error::Result;
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::telemetry::{TelemetryBuffer, TelemetryView, TelemetryViewMut};
-use schemas::toml_section::Section;
+use schemas::toml_section::{Section, quoted};
 use std::f64::consts::TAU;
 
 /// Resolution and noise of the sensors. All values of the built-in model are assumed.
@@ -57,16 +57,27 @@ impl SensorModel {
         2.0 * self.current_range_a / (1u64 << self.current_bits) as f64
     }
 
+    /// Keys and values, in the order of the fingerprint.
+    fn values(&self) -> [(&'static str, f64); 6] {
+        [
+            ("resolver_bits", self.resolver_bits.into()),
+            ("speed_noise_rad_per_s", self.speed_noise_rad_per_s),
+            ("current_range_a", self.current_range_a),
+            ("current_bits", self.current_bits.into()),
+            ("current_noise_a", self.current_noise_a),
+            ("current_offset_a", self.current_offset_a),
+        ]
+    }
+
+    /// A file that reads back as this model, bit for bit.
+    pub fn to_toml(&self) -> String {
+        let lines = self.values().map(|(key, x)| format!("{key} = {x:?}\n"));
+        format!("name = {}\n{}", quoted(&self.name), lines.concat())
+    }
+
     pub fn fingerprint(&self) -> String {
-        let v = [
-            self.resolver_bits as f64,
-            self.speed_noise_rad_per_s,
-            self.current_range_a,
-            self.current_bits as f64,
-            self.current_noise_a,
-            self.current_offset_a,
-        ];
-        fingerprint(&format!("sensors;{}", v.map(exact).join(",")))
+        let v = self.values().map(|(_, x)| exact(x));
+        fingerprint(&format!("sensors;{}", v.join(",")))
     }
 }
 
@@ -163,5 +174,22 @@ impl Sensors<'_> {
                 column.iter_mut().for_each(|o| *o = round(*o));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use schemas::toml_section::parse;
+
+    #[test]
+    fn prop_a_sensor_model_written_and_read_is_the_same() {
+        let mut m = crate::catalogue::sensors("reference").unwrap().unwrap();
+        m.name = "a \"b\"".into();
+        m.current_noise_a = 0.1 / 3.0;
+        m.speed_noise_rad_per_s = 0.0;
+        let again = SensorModel::from_section(parse("a.toml", &m.to_toml()).unwrap()).unwrap();
+        assert_eq!(again, m);
+        assert_eq!(again.fingerprint(), m.fingerprint());
     }
 }

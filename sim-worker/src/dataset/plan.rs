@@ -2,7 +2,7 @@
 
 use super::draw::{Distribution, random};
 use crate::catalogue;
-use crate::parameters::{ActuatorParameters, PARAMETERS};
+use crate::parameters::{self, ActuatorParameters, PARAMETERS};
 use crate::sensor::SensorModel;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
@@ -552,14 +552,7 @@ fn actuators(
         let mut values: Vec<(usize, f64)> = Vec::new();
         for &(k, distribution) in spread {
             let drawn = distribution.draw(nominal[k], &mut random(seed, PARAMETERS[k].0, &id));
-            // a share or an efficiency ends at one
-            let most =
-                if ["dynamic_friction_ratio", "opposing_efficiency", "aiding_efficiency"].contains(&PARAMETERS[k].0) {
-                    1.0
-                } else {
-                    f64::INFINITY
-                };
-            values.push((k, drawn.min(most)));
+            values.push((k, drawn.min(parameters::most(k))));
         }
         values.extend(known);
         let mut parameters = ActuatorParameters::parse_with(&format!("{plan}: actuator {id} ({file})"), text, &values)?;
