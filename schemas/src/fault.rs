@@ -1,6 +1,7 @@
 //! Faults, their grid, and intervals of them.
 
 use crate::fingerprint::{exact, fingerprint};
+use crate::toml_section::quoted;
 
 /// A pair of faults: friction multiplier FSJ and static eccentricity zeta (paper 2.1, 2.2, 4).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,6 +56,16 @@ impl FaultGrid {
     pub fn fingerprint(&self) -> String {
         let list = |v: &[f64]| v.iter().map(|&x| exact(x)).collect::<Vec<_>>().join(",");
         fingerprint(&format!("grid;{};{}", list(&self.fsj), list(&self.zeta)))
+    }
+
+    /// A file that reads back as this grid, bit for bit.
+    pub fn to_toml(&self) -> String {
+        format!(
+            "name = {}\nfsj = {:?}\nzeta = {:?}\n",
+            quoted(&self.name),
+            self.fsj,
+            self.zeta
+        )
     }
 
     /// Points in storage order: zeta outer, FSJ inner.

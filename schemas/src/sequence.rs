@@ -2,27 +2,79 @@
 
 use crate::error::Result;
 use crate::fingerprint::{exact, fingerprint};
-use crate::toml_section::Section;
+use crate::toml_section::{Section, quoted};
 
-/// Command of one segment, as a function of the time `t` since the segment's start.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Command {
+/// What a number of a command may be.
+#[derive(Clone, Copy)]
+enum Bound {
+    Any,
+    AtLeastZero,
+    AboveZero,
+}
+
+impl Bound {
+    fn allows(self, x: f64) -> bool {
+        match self {
+            Self::Any => true,
+            Self::AtLeastZero => x >= 0.0,
+            Self::AboveZero => x > 0.0,
+        }
+    }
+
+    fn allowed(self) -> &'static str {
+        match self {
+            Self::Any => "a finite number",
+            Self::AtLeastZero => "a number of at least 0",
+            Self::AboveZero => "a number above 0",
+        }
+    }
+}
+
+macro_rules! commands {
+    ($($(#[$doc:meta])* $variant:ident $name:literal { $($key:ident $bound:ident),+ })+) => {
+        /// Command of one segment, as a function of the time `t` since the segment's start.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        pub enum Command { $($(#[$doc])* $variant { $($key: f64),+ }),+ }
+
+        impl Command {
+            /// Names in files.
+            pub const NAMES: &'static [&'static str] = &[$($name),+];
+
+            /// Name in files.
+            pub fn name(&self) -> &'static str {
+                match self { $(Self::$variant { .. } => $name),+ }
+            }
+
+            /// Keys and values.
+            pub fn values(&self) -> Vec<(&'static str, f64)> {
+                match *self { $(Self::$variant { $($key),+ } => vec![$((stringify!($key), $key)),+]),+ }
+            }
+
+            /// The command `name`, if there is one, with its values from a segment's table.
+            fn from_section(name: &str, s: &mut Section) -> Option<Result<Self>> {
+                let mut value = |key: &str, bound: Bound| s.number(key, |x| bound.allows(x), bound.allowed());
+                match name {
+                    $($name => Some((|| Ok(Self::$variant { $($key: value(stringify!($key), Bound::$bound)?),+ }))()),)+
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+commands! {
     /// `slope t` [rad]
-    Ramp { slope_rad_per_s: f64 },
+    Ramp "ramp" { slope_rad_per_s Any }
     /// constant [rad]
-    Hold { value_rad: f64 },
+    Hold "hold" { value_rad Any }
     /// `amplitude sin(2 pi f t)` [rad]
-    Sine { amplitude_rad: f64, frequency_hz: f64 },
+    Sine "sine" { amplitude_rad Any, frequency_hz AboveZero }
     /// constant from the segment's start [rad]
-    Step { height_rad: f64 },
+    Step "step" { height_rad Any }
     /// `A sin(2 pi (f0 t + (f1 - f0) t^2/(2 T)))`, T the segment's duration [rad]
-    Chirp {
-        amplitude_rad: f64,
-        from_hz: f64,
-        to_hz: f64,
-    },
+    Chirp "chirp" { amplitude_rad Any, from_hz AtLeastZero, to_hz AboveZero }
     /// `sum over n = 1..5 of A/n sin(2 pi f n t + n^2)` [rad]
-    Multisine { amplitude_rad: f64, frequency_hz: f64 },
+    Multisine "multisine" { amplitude_rad Any, frequency_hz AboveZero }
 }
 
 /// A command and how long it lasts.
@@ -41,13 +93,14 @@ pub struct TestSequence {
     pub segments: Vec<Segment>,
 }
 
-const NUMBER: &str = "a finite number";
-const POSITIVE: &str = "a number above 0";
-
 impl TestSequence {
     /// From a TOML file's table: `name`, then `[[segment]]` with `command`, `duration_s` and the
     /// command's own keys.
     pub fn from_section(mut s: Section) -> Result<Self> {
+        let names = || {
+            let (last, others) = Command::NAMES.split_last().expect("there are commands");
+            format!("{} or {last}", others.join(", "))
+        };
         let name = s.text("name", "a text")?;
         let mut segments = Vec::new();
         let mut start_s = 0.0;
@@ -56,34 +109,11 @@ impl TestSequence {
             return Err(s.bad("segment", "no segment", "at least one [[segment]]"));
         }
         for mut p in parts {
-            let kind = p.text("command", "ramp, hold, sine, step, chirp or multisine")?;
+            let kind = p.text("command", &names())?;
             let duration_s = p.number("duration_s", |x| x > 0.0 && x <= 3600.0, "0 < duration_s <= 3600")?;
-            let any = |_: f64| true;
-            let up = |x: f64| x > 0.0;
-            let command = match kind.as_str() {
-                "ramp" => Command::Ramp {
-                    slope_rad_per_s: p.number("slope_rad_per_s", any, NUMBER)?,
-                },
-                "hold" => Command::Hold {
-                    value_rad: p.number("value_rad", any, NUMBER)?,
-                },
-                "sine" => Command::Sine {
-                    amplitude_rad: p.number("amplitude_rad", any, NUMBER)?,
-                    frequency_hz: p.number("frequency_hz", up, POSITIVE)?,
-                },
-                "step" => Command::Step {
-                    height_rad: p.number("height_rad", any, NUMBER)?,
-                },
-                "chirp" => Command::Chirp {
-                    amplitude_rad: p.number("amplitude_rad", any, NUMBER)?,
-                    from_hz: p.number("from_hz", |x| x >= 0.0, "a number of at least 0")?,
-                    to_hz: p.number("to_hz", up, POSITIVE)?,
-                },
-                "multisine" => Command::Multisine {
-                    amplitude_rad: p.number("amplitude_rad", any, NUMBER)?,
-                    frequency_hz: p.number("frequency_hz", up, POSITIVE)?,
-                },
-                other => return Err(p.bad("command", other, "ramp, hold, sine, step, chirp or multisine")),
+            let command = match Command::from_section(&kind, &mut p) {
+                Some(command) => command?,
+                None => return Err(p.bad("command", kind, names())),
             };
             p.finish()?;
             segments.push(Segment {
@@ -96,6 +126,19 @@ impl TestSequence {
         }
         s.finish()?;
         Ok(Self { name, segments })
+    }
+
+    /// A file that reads back as this sequence, bit for bit.
+    pub fn to_toml(&self) -> String {
+        let mut out = format!("name = {}\n", quoted(&self.name));
+        for s in &self.segments {
+            out += &format!("\n[[segment]]\ncommand = \"{}\"\n", s.command.name());
+            for (key, x) in s.command.values() {
+                out += &format!("{key} = {x:?}\n");
+            }
+            out += &format!("duration_s = {:?}\n", s.duration_s);
+        }
+        out
     }
 
     /// Length [s].
@@ -111,29 +154,34 @@ impl TestSequence {
     pub fn fingerprint(&self) -> String {
         let mut text = String::from("sequence");
         for s in &self.segments {
-            let (tag, v): (&str, Vec<f64>) = match s.command {
-                Command::Ramp { slope_rad_per_s } => ("ramp", vec![slope_rad_per_s]),
-                Command::Hold { value_rad } => ("hold", vec![value_rad]),
-                Command::Sine {
-                    amplitude_rad,
-                    frequency_hz,
-                } => ("sine", vec![amplitude_rad, frequency_hz]),
-                Command::Step { height_rad } => ("step", vec![height_rad]),
-                Command::Chirp {
-                    amplitude_rad,
-                    from_hz,
-                    to_hz,
-                } => ("chirp", vec![amplitude_rad, from_hz, to_hz]),
-                Command::Multisine {
-                    amplitude_rad,
-                    frequency_hz,
-                } => ("multisine", vec![amplitude_rad, frequency_hz]),
-            };
-            text += &format!(";{tag}@{}+{}", exact(s.start_s), exact(s.duration_s));
-            for x in v {
+            text += &format!(";{}@{}+{}", s.command.name(), exact(s.start_s), exact(s.duration_s));
+            for (_, x) in s.command.values() {
                 text += &format!(",{}", exact(x));
             }
         }
         fingerprint(&text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::toml_section::parse;
+
+    #[test]
+    fn prop_a_sequence_written_and_read_is_the_same() {
+        let text = "name = \"all \\\"six\\\"\"\n\
+            [[segment]]\ncommand = \"ramp\"\nslope_rad_per_s = -0.1\nduration_s = 0.5\n\
+            [[segment]]\ncommand = \"hold\"\nvalue_rad = 3\nduration_s = 0.35\n\
+            [[segment]]\ncommand = \"sine\"\namplitude_rad = 1e-3\nfrequency_hz = 20.0\nduration_s = 0.1\n\
+            [[segment]]\ncommand = \"step\"\nheight_rad = 0.3333333333333333\nduration_s = 0.7\n\
+            [[segment]]\ncommand = \"chirp\"\namplitude_rad = 0.1\nfrom_hz = 0\nto_hz = 1e-7\nduration_s = 2\n\
+            [[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = 0.3\nduration_s = 1e-3\n";
+        let s = TestSequence::from_section(parse("a.toml", text).unwrap()).unwrap();
+        let names: Vec<&str> = s.segments.iter().map(|s| s.command.name()).collect();
+        assert_eq!(names, Command::NAMES);
+        let again = TestSequence::from_section(parse("b.toml", &s.to_toml()).unwrap()).unwrap();
+        assert_eq!(again, s);
+        assert_eq!(again.fingerprint(), s.fingerprint());
     }
 }

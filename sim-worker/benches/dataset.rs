@@ -17,7 +17,7 @@ use sim_worker::dataset::work::{Bench, work};
 use sim_worker::extractor::FeaturePlan;
 use sim_worker::noise::Noise;
 use sim_worker::simulate::{Experiment, LANES, Run, simulate};
-use sim_worker::worker::Progress;
+use sim_worker::progress::Progress;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;

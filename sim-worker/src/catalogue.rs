@@ -82,3 +82,18 @@ pub fn spread(name: &str) -> Result<Spread> {
     }
     Spread::from_section(section("spreads", SPREADS, name)?)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prop_a_grid_written_and_read_is_the_same() {
+        for name in ["standard", "fine", "coarse"] {
+            let mut g = grid(name).unwrap();
+            g.zeta[0] = 1e-9 / 3.0;
+            let again = grid_from(toml_section::parse("a.toml", &g.to_toml()).unwrap()).unwrap();
+            assert_eq!(again, g);
+        }
+    }
+}

@@ -1,12 +1,10 @@
 //! How units of one type differ: half-widths of uniform distributions around the parameters.
 
+use crate::effect::COPPER_PER_K;
 use crate::parameters::ActuatorParameters;
 use schemas::error::Result;
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::toml_section::Section;
-
-/// Temperature coefficient of a copper winding's resistance, at 20 degC [1/K] (IEC 60228: 0.00393).
-const COPPER_PER_K: f64 = 0.003_93;
 
 /// Temperature coefficient of the flux of NdFeB magnets [1/K] (assumed; data sheets give -0.0009 to
 /// -0.0012).

@@ -9,8 +9,9 @@ use std::f64::consts::{FRAC_PI_6, PI, TAU};
 
 /// Temperature at which friction and resistance are the nominal ones [degC] (assumed).
 pub const REFERENCE_TEMPERATURE_DEGC: f64 = 20.0;
-/// Temperature coefficient of copper's resistance at 20 degC [1/K] (IEC 60028).
-pub const COPPER_PER_K: f64 = 0.00393;
+/// Temperature coefficient of copper's resistance at 20 degC [1/K], of every winding here: annealed copper by
+/// IEC 60028 (International standard of resistance for copper).
+pub const COPPER_PER_K: f64 = 0.003_93;
 /// Current over which the dead-time voltage changes sign [A] (assumed).
 const DEAD_TIME_A: f64 = 0.05;
 
