@@ -31,15 +31,9 @@ fn set(maps: Vec<FailureMap>) -> FailureMapSet {
     FailureMapSet {
         header: MapSetHeader {
             actuator: text(),
-            parameters: text(),
             sequence: text(),
-            sequence_fingerprint: text(),
-            rate_hz: 1e4,
-            sensors: text(),
-            rest_angle_rad: 0.0,
-            equivalent_current: false,
+            kind: schemas::test_kind::TestKind::default(),
             grid: text(),
-            load_n_m: 0.0,
             step_s: 1e-6,
             seed: 0,
             commit: text(),
