@@ -140,10 +140,11 @@ impl Receiving {
                 log.append(logged);
             }
         }
-        if self.live.strays > self.counts.strays {
-            self.counts.strays = self.live.strays;
-            if self.live.last_stray != self.last_stray {
-                self.last_stray.clone_from(&self.live.last_stray);
+        let (strays, last) = self.live.strays();
+        if strays > self.counts.strays {
+            self.counts.strays = strays;
+            if last != self.last_stray {
+                self.last_stray = last.into();
                 (self.complain)(&format!("frame refused: {}", self.last_stray));
             }
         }
