@@ -2,7 +2,8 @@
 
 use crate::live::Known;
 use crate::map_library::{Choice, MapLibrary};
-use crate::receive::{Counts, MapSource, Options, Show, no_maps, receive};
+use crate::receive::words::Counts;
+use crate::receive::{MapSource, Options, Show, no_maps, receive};
 use clap::{Args, Parser};
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
 use schemas::stream::{Domain, domain};

@@ -13,35 +13,12 @@ use crate::calibration::{Calibration, WITNESS_GATE, uncalibrated};
 use crate::curves::Cut;
 use crate::estimate::{CovarianceParts, Estimate, Estimator};
 use crate::failure_map::{FailureMap, FailureMapSet};
-use crate::paving::{Goal, Paver, Paving};
+use crate::paving::{Goal, Part, PavedBox, Paver, Paving};
 use crate::uncertainty::{MOST, Row};
 use schemas::error::{Error, Result};
 use schemas::fault::Interval;
 use schemas::feature::{Feature, Features};
-use sim_worker::parameters::ActuatorParameters;
-use sim_worker::spread::Cause;
-
-/// One connected part of an area.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Part {
-    /// hull
-    pub fsj: Interval,
-    pub zeta: Interval,
-    /// centroid (FSJ, zeta)
-    pub centroid: (f64, f64),
-    /// area in FSJ times zeta, enclosed from within and from without
-    pub inner: f64,
-    pub outer: f64,
-}
-
-/// A box of the paving of an area.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AreaBox {
-    pub fsj: Interval,
-    pub zeta: Interval,
-    /// lies in the area as a whole; else the area's edge may pass through it
-    pub inside: bool,
-}
+pub use sim_worker::spread::{Known, parse_known};
 
 /// The fault pairs that all maps agree on.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +26,7 @@ pub struct Area {
     /// separated parts, the greatest first
     pub parts: Vec<Part>,
     /// boxes that cover the area
-    pub boxes: Vec<AreaBox>,
+    pub boxes: Vec<PavedBox>,
     /// hull of all parts, guaranteed to hold the area
     pub fsj: Interval,
     pub zeta: Interval,
@@ -121,7 +98,7 @@ impl Diagnosis {
 }
 
 impl Outcome {
-    /// Key of `interfaces`: located, unexplained, out_of_range, incomplete.
+    /// As in files and messages (schemas/README.md): located, unexplained, out_of_range, incomplete.
     pub fn name(&self) -> &'static str {
         match self {
             Outcome::Located(_) => "located",
@@ -147,33 +124,6 @@ impl Outcome {
             | Outcome::Incomplete { reason, .. } => reason,
         }
     }
-}
-
-/// What is known of the unit and the test: a cause and by how much it deviates from the actuator of the maps
-/// (relative, K or rad).
-pub type Known = Vec<(Cause, f64)>;
-
-/// Known values in words (`supply_voltage_v=47.5`) for one actuator.
-pub fn parse_known(text: &[String], actuator: &ActuatorParameters, rest_angle_rad: f64) -> Result<Known> {
-    let keys = || Cause::ALL.map(Cause::known_key).join(", ");
-    let one = |t: &String| {
-        let bad = |found: &str| {
-            Error::bad(
-                "command line",
-                "--known",
-                found,
-                format!("KEY=NUMBER, KEY one of {}", keys()),
-            )
-        };
-        let (key, value) = t.split_once('=').ok_or_else(|| bad(t))?;
-        let cause = Cause::ALL.into_iter().find(|c| c.known_key() == key.trim());
-        let value = value.trim().parse::<f64>().ok().filter(|x| x.is_finite());
-        let (Some(cause), Some(value)) = (cause, value) else {
-            return Err(bad(t));
-        };
-        Ok((cause, cause.deviation(actuator, rest_angle_rad, value)))
-    };
-    text.iter().map(one).collect()
 }
 
 /// How a test of known faults came out.
@@ -396,7 +346,7 @@ impl Diagnoser {
         let (joint, limits) = self.estimator.set(values, best, reach);
         let any = [(f64::NEG_INFINITY, f64::INFINITY); MOST];
         let paving = Paver::new().pave(self.estimator.lattice(), &joint, &any, &limits, &Goal::default())?;
-        Some(area(&paving, (best.misfit + reach * reach).sqrt()))
+        Some(area(paving, (best.misfit + reach * reach).sqrt()))
     }
 
     /// The gate for the features that are there: with fewer, less misfit is to be expected.
@@ -579,32 +529,16 @@ impl Diagnoser {
     }
 }
 
-fn area(p: &Paving, band: f64) -> Area {
-    let interval = |(lo, hi): (f64, f64)| Interval { lo, hi };
-    let part = |a: &crate::paving::Part| Part {
-        fsj: interval(a.hull.f),
-        zeta: interval(a.hull.z),
-        centroid: a.centroid,
-        inner: a.inner_area,
-        outer: a.outer_area,
-    };
+fn area(p: Paving, band: f64) -> Area {
     Area {
-        parts: p.parts.iter().map(part).collect(),
-        boxes: p
-            .boxes
-            .iter()
-            .map(|b| AreaBox {
-                fsj: interval(b.f),
-                zeta: interval(b.z),
-                inside: b.inside,
-            })
-            .collect(),
-        fsj: interval(p.whole.hull.f),
-        zeta: interval(p.whole.hull.z),
+        parts: p.parts,
+        boxes: p.boxes,
+        fsj: p.whole.fsj,
+        zeta: p.whole.zeta,
         centroid: p.whole.centroid,
-        size: 0.5 * (p.whole.inner_area + p.whole.outer_area),
-        inner: p.whole.inner_area,
-        outer: p.whole.outer_area,
+        size: 0.5 * (p.whole.inner + p.whole.outer),
+        inner: p.whole.inner,
+        outer: p.whole.outer,
         band,
     }
 }

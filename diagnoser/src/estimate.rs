@@ -1,12 +1,11 @@
 //! The fault pair that fits best, and the set of those that fit nearly as well.
 
 use crate::calibration::Calibration;
-use crate::diagnosis::Known;
 use crate::failure_map::{FailureMap, FailureMapSet};
 use crate::paving::{Joint, Lattice, Limits};
 use crate::uncertainty::{Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, Straight};
 use schemas::feature::{Feature, Features};
-use sim_worker::spread::Cause;
+use sim_worker::spread::{Cause, Known};
 
 /// Most lattice lines between two lines of the grid: what is bilinear between them departs from the monotone
 /// cubic by a sixteenth of what it would on the grid itself.

@@ -8,13 +8,13 @@ use crate::map_library::MapKey;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::feature::{Features, RawFeatures};
 use schemas::sequence::TestSequence;
-use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
+use schemas::stream::frame::{FrameHeader, RunDescription};
 use schemas::test_kind::TestKind;
-use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
+use sim_worker::extractor::FeaturePlan;
 use sim_worker::parameters::ActuatorParameters;
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
-use track::Track;
+use track::{Arrival, Track};
 
 /// Lowest telemetry rate that a diagnosis takes [Hz].
 pub const LOWEST_RATE_HZ: f64 = 1000.0;
@@ -103,8 +103,8 @@ pub struct Live {
     wishes: Vec<MapKey>,
     reports: Vec<Report>,
     /// frames that no stream could be found for, and why the last one
-    pub strays: u64,
-    pub last_stray: String,
+    strays: u64,
+    last_stray: String,
 }
 
 impl Live {
@@ -137,10 +137,7 @@ impl Live {
             Err(fault) => {
                 let text = format!("frame {}: {fault}", header.frame);
                 match self.tracks.get_mut(&key) {
-                    Some(t) if header.schema_version == schemas::SCHEMA_VERSION => {
-                        t.next_frame = t.next_frame.max(header.frame + 1);
-                        t.fault(text);
-                    }
+                    Some(t) if header.schema_version == schemas::SCHEMA_VERSION => t.damaged(header.frame, text),
                     _ => {
                         self.strays += 1;
                         self.last_stray = format!("process {}: {text}", header.process);
@@ -153,48 +150,21 @@ impl Live {
             self.open(header, publisher, is_alive, now_ns);
         }
         let track = self.tracks.get_mut(&key)?;
-        track.last_ns = now_ns;
-        if header.kind == BEGIN {
-            track.next_frame = track.next_frame.max(1);
-            return Some(track.whole_frames);
-        }
-        if header.frame < track.next_frame {
-            if header.kind == END {
-                return Some(track.whole_frames);
+        let whole_frames = |t: &Track| Some(t.whole_frames());
+        match track.arrive(header, now_ns) {
+            Arrival::Greeting => whole_frames(track),
+            Arrival::Late => None,
+            Arrival::Samples => {
+                track.samples(header, &view);
+                self.progress(key);
+                None
             }
-            let missed = track
-                .lost
-                .iter()
-                .any(|g| g.from <= header.first && header.first <= g.to);
-            if missed {
-                track.fault(format!("frame {} out of order", header.frame));
+            Arrival::End => {
+                let answer = whole_frames(track);
+                self.conclude(key);
+                answer
             }
-            // a repeated frame says nothing new
-            return None;
         }
-        if header.frame > track.next_frame && header.kind == END && track.next_frame > 0 {
-            let n = header.frame - track.next_frame;
-            track.fault(format!("{n} frames lost before the last one"));
-        }
-        track.is_unbroken &= header.frame == track.next_frame;
-        track.next_frame = header.frame + 1;
-        if header.kind == END {
-            track.ended = true;
-            if !track.is_final {
-                track.telemetry_ns = header.publish_ns;
-                if !track.is_unbroken && track.run.total_rows >= track.next_sample {
-                    track.skip_to(track.run.total_rows + 1);
-                }
-                track.due = true;
-            }
-            let whole = track.whole_frames;
-            self.conclude(key);
-            return Some(whole);
-        }
-        track.whole_frames += u64::from(track.is_unbroken);
-        track.samples(header, &view);
-        self.progress(key);
-        None
     }
 
     /// A new stream.
@@ -203,35 +173,32 @@ impl Live {
         let sequence = self.known.sequence(&run.sequence).cloned();
         let mut track = Track::new(header, sequence, publisher, now_ns);
         if let Err(why) = self.prepare(&mut track) {
-            track.fault(why);
-            track.due = true;
+            track.give_up(why);
         }
         // who else sends this actuator?
         let same = |k: &Key| k.0 == header.actuator && k.1 != header.stream;
         let others: Vec<Key> = self
             .tracks
             .iter()
-            .filter(|(k, t)| same(k) && !t.is_final && !t.ended)
+            .filter(|(k, t)| same(k) && !t.is_final() && t.is_streaming())
             .map(|(k, _)| *k)
             .collect();
         for other in others {
             let old = self.tracks.get_mut(&other).expect("just found");
-            if old.publisher == publisher {
-                old.fault("sent anew from the start".into());
-            } else if is_alive(old.publisher) {
-                let (a, b) = (old.header.process, header.process);
-                track.fault(format!(
-                    "two publishers for actuator `{}`: process {a} has been sending it, process {b} is refused",
-                    track.run.actuator
+            let process = old.header().process;
+            let why = if old.publisher() == publisher {
+                "sent anew from the start".into()
+            } else if is_alive(old.publisher()) {
+                track.give_up(format!(
+                    "two publishers for actuator `{}`: process {process} has been sending it, process {} is refused",
+                    track.run().actuator,
+                    header.process
                 ));
-                track.due = true;
                 continue;
             } else {
-                let (p, n) = (old.header.process, old.next_sample - 1);
-                old.fault(format!("the publisher (process {p}) died after sample {n}"));
-            }
-            old.due = true;
-            old.ended = true;
+                format!("the publisher (process {process}) died after sample {}", old.sample())
+            };
+            old.break_off(why);
             self.conclude(other);
         }
         // forget the oldest finished streams of this actuator
@@ -244,8 +211,8 @@ impl Live {
 
     /// Forgets the oldest finished streams among `which`, but for `kept`.
     fn forget(&mut self, kept: usize, which: impl Fn(&Key) -> bool) {
-        let finished = self.tracks.iter().filter(|(k, t)| which(k) && t.is_final);
-        let mut finished: Vec<(u64, Key)> = finished.map(|(k, t)| (t.last_ns, *k)).collect();
+        let finished = self.tracks.iter().filter(|(k, t)| which(k) && t.is_final());
+        let mut finished: Vec<(u64, Key)> = finished.map(|(k, t)| (t.last_ns(), *k)).collect();
         if finished.len() > kept {
             finished.sort_unstable();
             finished.truncate(finished.len() - kept);
@@ -257,7 +224,7 @@ impl Live {
 
     /// Finds what the stream is to be interpreted with.
     fn prepare(&mut self, track: &mut Track) -> Result<(), String> {
-        let run = &track.run;
+        let run = track.run();
         let list = |v: Vec<String>| v.join(", ");
         let Some(actuator) = self.known.actuator(&run.parameters) else {
             let known = self.known.actuators.iter();
@@ -284,8 +251,8 @@ impl Live {
             .iter()
             .all(|c| run.channels.contains(*c));
         let id = (
-            track.header.parameters,
-            track.header.sequence,
+            track.header().parameters,
+            track.header().sequence,
             run.rate_hz.to_bits(),
             equivalent,
         );
@@ -302,45 +269,32 @@ impl Live {
         if let Some(c) = needed.iter().find(|c| !run.channels.contains(*c)) {
             return Err(format!("channel `{}` is missing", c.name()));
         }
-        track.channels = needed;
-        if track.run.total_rows == 0 {
-            track.run.total_rows = plan.rows;
-        }
-        track.extractor = Some(FeatureExtractor::new(plan));
+        track.interpret(plan, needed);
         Ok(())
     }
 
     /// Asks for maps once the rest angle is known, and says what the features say.
     fn progress(&mut self, key: Key) {
         let track = self.tracks.get_mut(&key).expect("called with a track");
-        let Some(x) = &track.extractor else { return };
-        if track.key.is_none()
-            && let Some(rest) = x.rest_angle_rad()
+        if let Some(wish) = track.wish()
+            && !self.maps.contains_key(&wish)
         {
-            let wish = MapKey::new(track.run.kind(rest, x.plan().equivalent_current()));
-            track.key = Some(wish.clone());
-            if !self.maps.contains_key(&wish) {
-                self.trim_maps();
-                self.wishes.push(wish.clone());
-                self.maps.insert(wish, Maps::Wanted);
-            }
+            self.trim_maps();
+            self.wishes.push(wish.clone());
+            self.maps.insert(wish, Maps::Wanted);
         }
         let track = self.tracks.get_mut(&key).expect("called with a track");
-        let Some(x) = &track.extractor else { return };
-        if track.is_final {
+        let Some(x) = track.extractor().filter(|_| !track.is_final()) else {
             return;
-        }
+        };
         if x.is_complete() {
-            if !track.due {
-                track.due = true;
+            if track.make_due() {
                 self.tasks.push_back(Task::Conclude(key));
             }
             return;
         }
-        let count = x.count();
-        let maps = track.key.as_ref().and_then(|k| self.maps.get(k));
-        if count > track.counted && matches!(maps, Some(Maps::Ready(_))) {
-            track.counted = count;
+        let maps = track.maps().and_then(|k| self.maps.get(k));
+        if matches!(maps, Some(Maps::Ready(_))) && track.has_more() {
             self.tasks.push_back(Task::Provisional(key));
         }
     }
@@ -360,7 +314,7 @@ impl Live {
     /// What the maps say of the features so far.
     fn provisional(&mut self, key: Key) {
         let track = self.tracks.get_mut(&key).expect("called with a track");
-        let (Some(x), Some(k), false) = (&track.extractor, &track.key, track.is_final) else {
+        let (Some(x), Some(k), false) = (track.extractor(), track.maps(), track.is_final()) else {
             return;
         };
         let Some(Maps::Ready(diagnoser)) = self.maps.get(k) else {
@@ -368,25 +322,22 @@ impl Live {
         };
         let features = diagnoser.maps.features(&x.features());
         let diagnosis = diagnoser.diagnose(&features, &x.missing());
-        track.features = features;
-        track.outcome = Some(diagnosis.outcome.clone());
-        let report = track.report(diagnosis, false);
-        self.reports.push(report);
+        self.reports.push(track.so_far(diagnosis));
     }
 
     /// The final diagnosis of a stream that is due, if its maps are there.
     fn conclude(&mut self, key: Key) {
         let track = self.tracks.get_mut(&key).expect("called with a track");
-        if !track.due || track.is_final {
+        if !track.is_due() {
             return;
         }
         let mut lacking = track.notes();
         let nothing = |reason: String| Outcome::Incomplete { reason, area: None };
-        let diagnosis = match (&track.extractor, &track.key) {
+        let diagnosis = match (track.extractor(), track.maps()) {
             (Some(x), Some(k)) => match self.maps.get(k) {
                 Some(Maps::Ready(diagnoser)) => {
                     let test = TestKind {
-                        load_n_m: track.run.load(),
+                        load_n_m: track.run().load(),
                         ..k.kind().clone()
                     };
                     if let Some(d) = test.difference(&diagnoser.maps.header.kind) {
@@ -415,11 +366,7 @@ impl Live {
             }
             (None, _) => Diagnosis::without_maps(nothing(lacking.join("; ")), Features::default()),
         };
-        track.is_final = true;
-        track.features = diagnosis.features;
-        track.outcome = Some(diagnosis.outcome.clone());
-        let report = track.report(diagnosis, true);
-        self.reports.push(report);
+        self.reports.push(track.finish(diagnosis));
     }
 
     /// Maps that came, or why they cannot.
@@ -432,7 +379,7 @@ impl Live {
         let waiting: Vec<Key> = self
             .tracks
             .iter()
-            .filter(|(_, t)| t.key.as_ref() == Some(key) && !t.is_final)
+            .filter(|(_, t)| t.maps() == Some(key) && !t.is_final())
             .map(|(k, _)| *k)
             .collect();
         for k in waiting {
@@ -444,7 +391,7 @@ impl Live {
     /// Forgets map sets that no open stream uses, when there are many; a refusal is asked again.
     fn trim_maps(&mut self) {
         let tracks = &self.tracks;
-        let used = |k: &MapKey| tracks.values().any(|t| !t.is_final && t.key.as_ref() == Some(k));
+        let used = |k: &MapKey| tracks.values().any(|t| !t.is_final() && t.maps() == Some(k));
         let many = self.maps.len() >= KEPT_MAPS;
         self.maps
             .retain(|k, m| used(k) || !(many || matches!(m, Maps::Refused(_))));
@@ -454,22 +401,19 @@ impl Live {
     pub fn tick(&mut self, now_ns: u64, timeout_ns: u64, is_alive: &dyn Fn(u64) -> bool) {
         let mut over = Vec::new();
         for (k, t) in &mut self.tracks {
-            if t.is_final || t.due {
+            if !t.is_open() {
                 continue;
             }
-            let n = t.next_sample - 1;
-            let of = t.run.total_rows;
-            if !is_alive(t.publisher) {
-                let p = t.header.process;
-                t.fault(format!("the publisher (process {p}) died after sample {n} of {of}"));
-            } else if now_ns.saturating_sub(t.last_ns) > timeout_ns {
+            let (n, of) = (t.sample(), t.run().total_rows);
+            t.break_off(if !is_alive(t.publisher()) {
+                let p = t.header().process;
+                format!("the publisher (process {p}) died after sample {n} of {of}")
+            } else if now_ns.saturating_sub(t.last_ns()) > timeout_ns {
                 let s = timeout_ns as f64 * 1e-9;
-                t.fault(format!("no frame for {s} s after sample {n} of {of}"));
+                format!("no frame for {s} s after sample {n} of {of}")
             } else {
                 continue;
-            }
-            t.due = true;
-            t.ended = true;
+            });
             over.push(*k);
         }
         for k in over {
@@ -485,15 +429,14 @@ impl Live {
         let open: Vec<Key> = self
             .tracks
             .iter()
-            .filter(|(_, t)| !t.is_final)
+            .filter(|(_, t)| !t.is_final())
             .map(|(k, _)| *k)
             .collect();
         for k in open {
             let t = self.tracks.get_mut(&k).expect("just found");
-            if !t.due {
-                let (n, of) = (t.next_sample - 1, t.run.total_rows);
-                t.fault(format!("the diagnoser was stopped after sample {n} of {of}"));
-                t.due = true;
+            if t.is_open() {
+                let (n, of) = (t.sample(), t.run().total_rows);
+                t.give_up(format!("the diagnoser was stopped after sample {n} of {of}"));
             }
             self.conclude(k);
         }
@@ -502,13 +445,18 @@ impl Live {
     /// Whether an open stream has had no frame for `quiet_ns`, so that [`Live::tick`] may have
     /// something to do.
     pub fn is_waiting(&self, now_ns: u64, quiet_ns: u64) -> bool {
-        let quiet = |t: &Track| now_ns.saturating_sub(t.last_ns) > quiet_ns;
-        self.tracks.values().any(|t| !t.is_final && !t.due && quiet(t))
+        let quiet = |t: &Track| now_ns.saturating_sub(t.last_ns()) > quiet_ns;
+        self.tracks.values().any(|t| t.is_open() && quiet(t))
     }
 
     /// Whether a stream has not had its last frame yet.
     pub fn is_streaming(&self) -> bool {
-        self.tracks.values().any(|t| !t.ended)
+        self.tracks.values().any(Track::is_streaming)
+    }
+
+    /// Frames that no stream could be found for, and why the last one.
+    pub fn strays(&self) -> (u64, &str) {
+        (self.strays, &self.last_stray)
     }
 
     /// Diagnoses since the last call.
@@ -526,7 +474,7 @@ impl Live {
         let mut newest: HashMap<[u8; 32], &Track> = HashMap::new();
         for (k, t) in &self.tracks {
             let slot = newest.entry(k.0).or_insert(t);
-            if t.last_ns > slot.last_ns {
+            if t.last_ns() > slot.last_ns() {
                 *slot = t;
             }
         }

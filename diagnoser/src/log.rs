@@ -2,7 +2,7 @@
 //! diagnosis. What cannot be written is kept and tried again; what a process that died left torn
 //! is mended at the next start.
 
-use crate::receive::Complain;
+use crate::receive::words::Complain;
 use crate::report::{Logged, to_batch};
 use arrow::array::RecordBatch;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;

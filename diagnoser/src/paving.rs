@@ -17,13 +17,13 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
+use crate::uncertainty::Row;
 use parts::Tally;
+use schemas::fault::Interval;
 use strip::{Bands, Cell, Strip};
 use surface::Inverse;
 pub use surface::{Joint, Lattice};
 
-/// One value for each feature; unused features are zero.
-pub type Features = [f64; 8];
 type Span = (f64, f64);
 
 const EMPTY: Span = (f64::INFINITY, f64::NEG_INFINITY);
@@ -47,7 +47,7 @@ fn lerp(span: Span, t: f64) -> f64 {
     span.0 * (1.0 - t) + span.1 * t
 }
 
-fn dot(a: &Features, b: &Features) -> f64 {
+fn dot(a: &Row, b: &Row) -> f64 {
     let p: [f64; 4] = std::array::from_fn(|k| a[k] * b[k] + a[k + 4] * b[k + 4]);
     (p[0] + p[1]) + (p[2] + p[3])
 }
@@ -101,22 +101,35 @@ impl Default for Goal {
 }
 
 /// One box of a paving: all of it in S (`inside`) or undecided.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PavedBox {
-    pub f: (f64, f64),
-    pub z: (f64, f64),
+    pub fsj: Interval,
+    pub zeta: Interval,
     pub inside: bool,
 }
 
+impl PavedBox {
+    fn new(f: Span, z: Span, inside: bool) -> Self {
+        let (fsj, zeta) = (interval(f), interval(z));
+        Self { fsj, zeta, inside }
+    }
+}
+
+fn interval((lo, hi): Span) -> Interval {
+    Interval { lo, hi }
+}
+
 /// A connected part of a paving; one without inner area may hold no solution.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Part {
-    /// Encloses the part.
-    pub hull: Limits,
+    /// Hull, encloses the part.
+    pub fsj: Interval,
+    pub zeta: Interval,
     /// Hull of the boxes inside, if any.
     pub inner_hull: Option<Limits>,
-    pub inner_area: f64,
-    pub outer_area: f64,
+    /// Area in FSJ times zeta, enclosed from within and from without.
+    pub inner: f64,
+    pub outer: f64,
     /// (FSJ, zeta) [-]; undecided boxes count half, the hull's centre if there is no area.
     pub centroid: (f64, f64),
 }
@@ -216,12 +229,12 @@ impl Paver {
         let threshold = joint.threshold.min(1e300);
         let (low, high) = self.reach(joint, threshold, bands);
         // z is a difference of terms of this size; its rounding times twice z is that of Q.
-        let scale: Features = std::array::from_fn(|k| {
+        let scale: Row = std::array::from_fn(|k| {
             (0..8).map(|i| (joint.w[k][i] * lattice.peak[i]).abs()).sum::<f64>() + joint.offset[k].abs()
         });
         let scale = 1e-14 * dot(&scale, &scale).sqrt();
         assert!(scale.is_finite(), "whitening and offset must be finite");
-        let columns: [Features; 8] = std::array::from_fn(|i| std::array::from_fn(|k| joint.w[k][i]));
+        let columns: [Row; 8] = std::array::from_fn(|i| std::array::from_fn(|k| joint.w[k][i]));
         let used: [bool; 8] = columns.map(|c| c.iter().any(|&x| x != 0.0));
 
         self.blocks.clear();
@@ -278,7 +291,7 @@ impl Paver {
     }
 
     /// Features that S may have: the bands, narrowed to where the joint can hold at all.
-    fn reach(&mut self, joint: &Joint, threshold: f64, bands: &Bands) -> (Features, Features) {
+    fn reach(&mut self, joint: &Joint, threshold: f64, bands: &Bands) -> (Row, Row) {
         if self.inverse.as_ref().is_none_or(|known| known.w != joint.w) {
             self.inverse = Some(Inverse::new(&joint.w));
         }
@@ -408,25 +421,17 @@ impl Paver {
         for strip in self.strips.iter().filter(|s| !s.is_empty()) {
             let (o, i, turned) = (strip.outer, strip.inner, self.cells[strip.cell as usize].turned);
             if i.f.0 > i.f.1 {
-                boxes.push(PavedBox {
-                    f: o.f,
-                    z: o.z,
-                    inside: false,
-                });
+                boxes.push(PavedBox::new(o.f, o.z, false));
                 continue;
             }
-            boxes.push(PavedBox {
-                f: i.f,
-                z: i.z,
-                inside: true,
-            });
+            boxes.push(PavedBox::new(i.f, i.z, true));
             let (outer, inner) = if turned { (o.z, i.z) } else { (o.f, i.f) };
             for side in [(outer.0, inner.0), (inner.1, outer.1)]
                 .into_iter()
                 .filter(|s| s.0 < s.1)
             {
                 let (f, z) = if turned { (o.f, side) } else { (side, o.z) };
-                boxes.push(PavedBox { f, z, inside: false });
+                boxes.push(PavedBox::new(f, z, false));
             }
         }
         boxes
@@ -445,7 +450,7 @@ fn settle(strip: &Strip, index: u32, open: &mut Vec<u32>, settled: &mut Tally) {
 }
 
 /// Whether a block's features stay beyond `low`..`high`: monotone surfaces take their extremes at its corners.
-fn misses(corners: [&Features; 4], low: &Features, high: &Features) -> bool {
+fn misses(corners: [&Row; 4], low: &Row, high: &Row) -> bool {
     let [a, b, c, d] = corners;
     let mut miss = false;
     for k in 0..8 {

@@ -1,6 +1,8 @@
 //! The live diagnoser as a process: frames from shared memory, diagnoses to a second service, to
 //! a log and to a screen.
 
+pub mod words;
+
 use crate::diagnosis::Diagnoser;
 use crate::diagnosis::Outcome;
 use crate::live::{Known, Live};
@@ -18,6 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use words::{Complain, Counts};
 
 /// Between two looks at who is alive.
 const TICK: Duration = Duration::from_millis(250);
@@ -60,18 +63,6 @@ pub struct Options {
     pub timeout: Duration,
 }
 
-/// What has happened.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
-    pub frames: u64,
-    pub diagnoses: u64,
-    pub located: u64,
-    pub incomplete: u64,
-    pub strays: u64,
-    /// frames of the transport that could not be received
-    pub failures: u64,
-}
-
 /// Maps that were asked for, or why they cannot be had.
 type Fetched = (MapKey, Result<Diagnoser, String>);
 
@@ -88,9 +79,6 @@ fn fetch_maps(source: MapSource) -> (Sender<MapKey>, Receiver<Fetched>) {
     });
     (ask, told)
 }
-
-/// Where words about trouble go: to the screen, or to standard error.
-pub type Complain = Arc<dyn Fn(&str) + Send + Sync>;
 
 struct Receiving {
     show: Show,
@@ -140,10 +128,11 @@ impl Receiving {
                 log.append(logged);
             }
         }
-        if self.live.strays > self.counts.strays {
-            self.counts.strays = self.live.strays;
-            if self.live.last_stray != self.last_stray {
-                self.last_stray.clone_from(&self.live.last_stray);
+        let (strays, last) = self.live.strays();
+        if strays > self.counts.strays {
+            self.counts.strays = strays;
+            if last != self.last_stray {
+                self.last_stray = last.into();
                 (self.complain)(&format!("frame refused: {}", self.last_stray));
             }
         }

@@ -1,7 +1,8 @@
 //! Diagnoses as JSON, as a table and as messages: the same keys everywhere.
 
-use crate::diagnosis::{Area, Diagnosis, Outcome, Part};
+use crate::diagnosis::{Area, Diagnosis, Outcome};
 use crate::live::Report;
+use crate::paving::Part;
 use arrow::array::{ArrayRef, BooleanArray, Float64Array, Int64Array, RecordBatch, StringArray, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
 use schemas::fault::Interval;

@@ -2,7 +2,7 @@
 
 use crate::diagnosis::Outcome;
 use crate::live::Status;
-use crate::receive::{Complain, Counts};
+use crate::receive::words::{Complain, Counts};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 use ratatui::layout::{Constraint, Layout};
 use ratatui::style::{Color, Style, Stylize};

@@ -2,7 +2,7 @@
 
 use crate::effect::COPPER_PER_K;
 use crate::parameters::ActuatorParameters;
-use schemas::error::Result;
+use schemas::error::{Error, Result};
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::toml_section::Section;
 
@@ -105,6 +105,33 @@ impl Cause {
             cause => vec![(cause, 1.0)],
         }
     }
+}
+
+/// What is known of the unit and the test: a cause and by how much it deviates from the actuator of the maps (relative,
+/// K or rad).
+pub type Known = Vec<(Cause, f64)>;
+
+/// Known values in words (`supply_voltage_v=47.5`) for one actuator.
+pub fn parse_known(text: &[String], actuator: &ActuatorParameters, rest_angle_rad: f64) -> Result<Known> {
+    let keys = || Cause::ALL.map(Cause::known_key).join(", ");
+    let one = |t: &String| {
+        let bad = |found: &str| {
+            Error::bad(
+                "command line",
+                "--known",
+                found,
+                format!("KEY=NUMBER, KEY one of {}", keys()),
+            )
+        };
+        let (key, value) = t.split_once('=').ok_or_else(|| bad(t))?;
+        let cause = Cause::ALL.into_iter().find(|c| c.known_key() == key.trim());
+        let value = value.trim().parse::<f64>().ok().filter(|x| x.is_finite());
+        let (Some(cause), Some(value)) = (cause, value) else {
+            return Err(bad(t));
+        };
+        Ok((cause, cause.deviation(actuator, rest_angle_rad, value)))
+    };
+    text.iter().map(one).collect()
 }
 
 /// Half-widths of the uniform distributions of all causes.

@@ -6,9 +6,10 @@ use crate::map_library::MapKey;
 use schemas::channel::ChannelSet;
 use schemas::feature::Features;
 use schemas::sequence::{Command, TestSequence};
-use schemas::stream::frame::{FrameHeader, RunDescription};
+use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
 use schemas::telemetry::TelemetryView;
-use sim_worker::extractor::FeatureExtractor;
+use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
+use std::sync::Arc;
 
 /// Faults of a stream that are named one by one; the others are counted.
 const NAMED: usize = 4;
@@ -16,42 +17,63 @@ const NAMED: usize = 4;
 /// Gaps remembered one by one, to tell a late frame from a repeated one.
 const REMEMBERED_GAPS: usize = 1024;
 
-/// A range of samples or frames that did not come.
+/// A range of samples that did not come.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Gap {
-    pub from: u64,
-    pub to: u64,
+struct Gap {
+    from: u64,
+    to: u64,
+}
+
+/// How far the diagnosis of a stream has come; it never goes back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// samples are expected
+    Open,
+    /// nothing more is expected of the samples: a final diagnosis is due, and may wait for maps
+    Due,
+    /// the final diagnosis has been given
+    Final,
+}
+
+/// What a frame means to its stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Arrival {
+    /// a beginning, or an end that has come before: says nothing new, but wants an answer
+    Greeting,
+    /// samples whose number was passed: says nothing new
+    Late,
+    Samples,
+    End,
 }
 
 /// One stream, frame by frame: what has come, what is lost, what is wrong.
 pub(super) struct Track {
-    pub run: RunDescription,
-    pub header: FrameHeader,
-    pub publisher: u64,
-    pub sequence: Option<TestSequence>,
-    pub channels: ChannelSet,
-    pub extractor: Option<FeatureExtractor>,
-    pub key: Option<MapKey>,
-    pub next_frame: u64,
-    pub next_sample: u64,
-    pub received: u64,
+    run: RunDescription,
+    header: FrameHeader,
+    publisher: u64,
+    sequence: Option<TestSequence>,
+    channels: ChannelSet,
+    extractor: Option<FeatureExtractor>,
+    maps: Option<MapKey>,
+    stage: Stage,
+    /// the publisher will send no more
+    has_ended: bool,
+    next_frame: u64,
+    next_sample: u64,
+    received: u64,
     /// sample frames that came before the first gap in the frames' numbers
-    pub whole_frames: u64,
+    whole_frames: u64,
     /// no frame number has been left out
-    pub is_unbroken: bool,
-    pub lost: Vec<Gap>,
-    pub lost_samples: u64,
-    pub faults: Vec<String>,
-    pub fault_count: u64,
-    pub counted: usize,
-    pub last_ns: u64,
-    pub telemetry_ns: u64,
-    pub outcome: Option<Outcome>,
-    pub features: Features,
-    /// nothing more is to be expected of the samples: a final diagnosis is due
-    pub due: bool,
-    pub is_final: bool,
-    pub ended: bool,
+    is_unbroken: bool,
+    lost: Vec<Gap>,
+    lost_samples: u64,
+    faults: Vec<String>,
+    fault_count: u64,
+    counted: usize,
+    last_ns: u64,
+    telemetry_ns: u64,
+    outcome: Option<Outcome>,
+    features: Features,
 }
 
 impl Track {
@@ -63,7 +85,9 @@ impl Track {
             sequence,
             channels: ChannelSet::default(),
             extractor: None,
-            key: None,
+            maps: None,
+            stage: Stage::Open,
+            has_ended: false,
             next_frame: 0,
             next_sample: 1,
             received: 0,
@@ -78,14 +102,176 @@ impl Track {
             telemetry_ns: header.publish_ns,
             outcome: None,
             features: Features::default(),
-            due: false,
-            is_final: false,
-            ended: false,
             run: header.description(),
         }
     }
 
-    pub fn fault(&mut self, what: String) {
+    /// The stream can be interpreted: these channels give these features.
+    pub fn interpret(&mut self, plan: Arc<FeaturePlan>, channels: ChannelSet) {
+        self.channels = channels;
+        if self.run.total_rows == 0 {
+            self.run.total_rows = plan.rows;
+        }
+        self.extractor = Some(FeatureExtractor::new(plan));
+    }
+
+    pub fn run(&self) -> &RunDescription {
+        &self.run
+    }
+
+    pub fn header(&self) -> &FrameHeader {
+        &self.header
+    }
+
+    pub fn publisher(&self) -> u64 {
+        self.publisher
+    }
+
+    pub fn extractor(&self) -> Option<&FeatureExtractor> {
+        self.extractor.as_ref()
+    }
+
+    /// The maps that it needs, once that is known.
+    pub fn maps(&self) -> Option<&MapKey> {
+        self.maps.as_ref()
+    }
+
+    /// The number of frames that a publisher is answered with.
+    pub fn whole_frames(&self) -> u64 {
+        self.whole_frames
+    }
+
+    /// When the last frame came [ns, CLOCK_MONOTONIC].
+    pub fn last_ns(&self) -> u64 {
+        self.last_ns
+    }
+
+    /// The last sample that came or was passed over.
+    pub fn sample(&self) -> u64 {
+        self.next_sample - 1
+    }
+
+    /// More samples are expected.
+    pub fn is_open(&self) -> bool {
+        self.stage == Stage::Open
+    }
+
+    pub fn is_due(&self) -> bool {
+        self.stage == Stage::Due
+    }
+
+    pub fn is_final(&self) -> bool {
+        self.stage == Stage::Final
+    }
+
+    /// The publisher may send more, whatever has become of the diagnosis.
+    pub fn is_streaming(&self) -> bool {
+        !self.has_ended
+    }
+
+    /// Nothing more is expected of the samples. Returns whether that is news.
+    pub fn make_due(&mut self) -> bool {
+        let is_news = self.is_open();
+        if is_news {
+            self.stage = Stage::Due;
+        }
+        is_news
+    }
+
+    /// It cannot be diagnosed, or not to its end: why.
+    pub fn give_up(&mut self, why: String) {
+        self.fault(why);
+        self.make_due();
+    }
+
+    /// Its publisher will send no more: why.
+    pub fn break_off(&mut self, why: String) {
+        self.give_up(why);
+        self.has_ended = true;
+    }
+
+    /// A frame that cannot be read.
+    pub fn damaged(&mut self, frame: u64, what: String) {
+        self.next_frame = self.next_frame.max(frame + 1);
+        self.fault(what);
+    }
+
+    /// A readable frame has come: what it is, by its number.
+    pub fn arrive(&mut self, header: &FrameHeader, now_ns: u64) -> Arrival {
+        self.last_ns = now_ns;
+        if header.kind == BEGIN {
+            self.next_frame = self.next_frame.max(1);
+            return Arrival::Greeting;
+        }
+        let is_end = header.kind == END;
+        if header.frame < self.next_frame {
+            if is_end {
+                return Arrival::Greeting;
+            }
+            if self.lost.iter().any(|g| (g.from..=g.to).contains(&header.first)) {
+                self.fault(format!("frame {} out of order", header.frame));
+            }
+            return Arrival::Late;
+        }
+        if header.frame > self.next_frame && is_end && self.next_frame > 0 {
+            let n = header.frame - self.next_frame;
+            self.fault(format!("{n} frames lost before the last one"));
+        }
+        self.is_unbroken &= header.frame == self.next_frame;
+        self.next_frame = header.frame + 1;
+        if !is_end {
+            self.whole_frames += u64::from(self.is_unbroken);
+            return Arrival::Samples;
+        }
+        self.has_ended = true;
+        if !self.is_final() {
+            self.telemetry_ns = header.publish_ns;
+            if !self.is_unbroken {
+                self.skip_to(self.run.total_rows + 1);
+            }
+            self.make_due();
+        }
+        Arrival::End
+    }
+
+    /// The maps to be asked for, when the rest angle has just become known.
+    pub fn wish(&mut self) -> Option<MapKey> {
+        let x = self.extractor.as_ref().filter(|_| self.maps.is_none())?;
+        let rest = x.rest_angle_rad()?;
+        self.maps = Some(MapKey::new(self.run.kind(rest, x.plan().equivalent_current())));
+        self.maps.clone()
+    }
+
+    /// Whether there are more features than at the last call.
+    pub fn has_more(&mut self) -> bool {
+        let count = self.extractor.as_ref().map_or(0, FeatureExtractor::count);
+        let is_more = count > self.counted;
+        self.counted = count.max(self.counted);
+        is_more
+    }
+
+    /// What is known so far.
+    pub fn so_far(&mut self, diagnosis: Diagnosis) -> Report {
+        self.features = diagnosis.features;
+        self.outcome = Some(diagnosis.outcome.clone());
+        Report {
+            run: self.run.clone(),
+            stream: self.header.stream,
+            is_final: self.is_final(),
+            diagnosis,
+            samples_received: self.received,
+            samples_lost: self.lost_samples,
+            telemetry_ns: self.telemetry_ns,
+        }
+    }
+
+    /// The last word.
+    pub fn finish(&mut self, diagnosis: Diagnosis) -> Report {
+        self.stage = Stage::Final;
+        self.so_far(diagnosis)
+    }
+
+    fn fault(&mut self, what: String) {
         self.fault_count += 1;
         if self.faults.len() < NAMED {
             self.faults.push(what);
@@ -120,7 +306,7 @@ impl Track {
     }
 
     /// Samples from the expected one up to the one before `first` did not come.
-    pub fn skip_to(&mut self, first: u64) {
+    fn skip_to(&mut self, first: u64) {
         if first > self.next_sample {
             if self.lost.len() < REMEMBERED_GAPS {
                 self.lost.push(Gap {
@@ -133,12 +319,13 @@ impl Track {
         }
     }
 
+    /// Sample 1 is not among the lost ones.
     pub fn begins(&self) -> bool {
         self.lost.first().is_none_or(|g| g.from > 1)
     }
 
     pub fn status(&self) -> Status {
-        let sample = self.next_sample - 1;
+        let sample = self.sample();
         Status {
             actuator: self.run.actuator.clone(),
             run: self.run.run,
@@ -150,12 +337,12 @@ impl Track {
             raw: self.extractor.as_ref().map(|x| x.features()).unwrap_or_default(),
             features: self.features,
             outcome: self.outcome.clone(),
-            is_final: self.is_final,
+            is_final: self.is_final(),
         }
     }
 
     fn phase(&self, sample: u64) -> String {
-        if self.ended {
+        if self.has_ended {
             return "ended".into();
         }
         let t = sample as f64 / self.run.rate_hz;
@@ -208,18 +395,6 @@ impl Track {
         self.telemetry_ns = header.publish_ns;
         if let Some(x) = &mut self.extractor {
             x.push(view);
-        }
-    }
-
-    pub fn report(&self, diagnosis: Diagnosis, is_final: bool) -> Report {
-        Report {
-            run: self.run.clone(),
-            stream: self.header.stream,
-            is_final,
-            diagnosis,
-            samples_received: self.received,
-            samples_lost: self.lost_samples,
-            telemetry_ns: self.telemetry_ns,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Sums over strips and the connected parts they form.
 use super::strip::{Cell, Strip};
-use super::{Limits, Part, Paver, Span};
+use super::{Limits, Part, Paver, Span, interval};
 
 /// Areas, hulls and moments of some strips.
 #[derive(Clone, Copy)]
@@ -45,10 +45,11 @@ impl Tally {
             }
         };
         Part {
-            hull: self.hull,
+            fsj: interval(self.hull.f),
+            zeta: interval(self.hull.z),
             inner_hull: (self.inner > 0.0).then_some(self.inner_hull),
-            inner_area: self.inner,
-            outer_area: self.outer,
+            inner: self.inner,
+            outer: self.outer,
             centroid: (mean(self.moment.0, self.hull.f), mean(self.moment.1, self.hull.z)),
         }
     }

@@ -1,5 +1,5 @@
 //! Lattice cells cut into strips: the local algebra of the set inversion.
-use super::{EMPTY, Features, Limits, Span, join, lerp, meet};
+use super::{EMPTY, Limits, Row, Span, join, lerp, meet};
 
 /// Where Q <= T along one edge of a strip, a span of the cell's u, with T lessened and raised by the rounding.
 #[derive(Clone, Copy)]
@@ -42,7 +42,7 @@ pub(super) struct Cell {
     /// T less and T plus the rounding.
     threshold: Span,
     /// Features at the corners, u first, for the bands that matter here (`live`, a bit for each).
-    m: [Features; 4],
+    m: [Row; 4],
     live: u8,
     /// Whether all of the cell has Q <= T.
     full: bool,
@@ -102,8 +102,8 @@ impl Cell {
     pub fn new(
         span: Limits,
         at: (u32, u32),
-        mut m: [Features; 4],
-        r: &[Features; 4],
+        mut m: [Row; 4],
+        r: &[Row; 4],
         threshold: f64,
         scale: f64,
         bands: &Bands,

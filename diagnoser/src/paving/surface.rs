@@ -1,10 +1,10 @@
 //! Feature surfaces on a lattice and the joint test on them.
-use super::{Features, dot, lerp};
+use super::{Row, dot, lerp};
 
 /// One node on one cache line.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-struct Node(Features);
+struct Node(Row);
 
 /// Feature surfaces on a rectangular lattice, bilinear inside a cell and monotone along both axes.
 #[derive(Clone, Debug)]
@@ -16,7 +16,7 @@ pub struct Lattice {
     nodes: Vec<Node>,
     directions: [(f64, f64); 8],
     /// Largest magnitude of each surface, the scale of its rounding.
-    pub(super) peak: Features,
+    pub(super) peak: Row,
 }
 
 impl Lattice {
@@ -25,7 +25,7 @@ impl Lattice {
     pub fn new(
         fsj: Vec<f64>,
         zeta: Vec<f64>,
-        nodes: Vec<Features>,
+        nodes: Vec<Row>,
         directions: [(f64, f64); 8],
     ) -> Result<Self, &'static str> {
         let rising = |axis: &[f64]| axis.len() > 1 && axis.windows(2).all(|p| p[0] < p[1]);
@@ -74,13 +74,13 @@ impl Lattice {
     }
 
     /// Features at FSJ `f` [-] and zeta `z` [-], held constant beyond the lattice.
-    pub fn at(&self, f: f64, z: f64) -> Features {
+    pub fn at(&self, f: f64, z: f64) -> Row {
         let cell = |axis: &[f64], x: f64| axis.partition_point(|&a| a <= x).clamp(1, axis.len() - 1) - 1;
         self.in_cell(cell(&self.fsj, f), cell(&self.zeta, z), f, z)
     }
 
     /// Features and their slopes along FSJ and zeta at a pair, straight beyond the lattice.
-    pub fn with_slopes(&self, f: f64, z: f64) -> (Features, Features, Features) {
+    pub fn with_slopes(&self, f: f64, z: f64) -> (Row, Row, Row) {
         let (i, j) = self.cell_of(f, z);
         let (wide, high) = (self.fsj[i + 1] - self.fsj[i], self.zeta[j + 1] - self.zeta[j]);
         let (u, v) = ((f - self.fsj[i]) / wide, (z - self.zeta[j]) / high);
@@ -92,7 +92,7 @@ impl Lattice {
     }
 
     /// What another table over the same nodes holds at a pair, bilinear.
-    pub fn blend(&self, table: &[Features], f: f64, z: f64) -> Features {
+    pub fn blend(&self, table: &[Row], f: f64, z: f64) -> Row {
         let (i, j) = self.cell_of(f, z);
         let n = self.fsj.len();
         let share = |axis: &[f64], k: usize, x: f64| ((x - axis[k]) / (axis[k + 1] - axis[k])).clamp(0.0, 1.0);
@@ -112,7 +112,7 @@ impl Lattice {
         (ends(&self.fsj), ends(&self.zeta))
     }
 
-    pub(super) fn in_cell(&self, i: usize, j: usize, f: f64, z: f64) -> Features {
+    pub(super) fn in_cell(&self, i: usize, j: usize, f: f64, z: f64) -> Row {
         let share = |axis: &[f64], k: usize, x: f64| ((x - axis[k]) / (axis[k + 1] - axis[k])).clamp(0.0, 1.0);
         let (u, v) = (share(&self.fsj, i, f), share(&self.zeta, j, z));
         let [a, b, c, d] = self.corners(i, i + 1, j, j + 1);
@@ -120,7 +120,7 @@ impl Lattice {
     }
 
     /// Corner nodes of a block: FSJ varies first.
-    pub(super) fn corners(&self, i0: usize, i1: usize, j0: usize, j1: usize) -> [&Features; 4] {
+    pub(super) fn corners(&self, i0: usize, i1: usize, j0: usize, j1: usize) -> [&Row; 4] {
         let n = self.fsj.len();
         [i0 + j0 * n, i1 + j0 * n, i0 + j1 * n, i1 + j1 * n].map(|k| &self.nodes[k].0)
     }
@@ -132,14 +132,14 @@ pub struct Joint {
     /// Whitening matrix, one row for each residual and one column for each feature; unused ones are zero.
     pub w: [[f64; 8]; 8],
     /// Whitened measurement [-].
-    pub offset: Features,
+    pub offset: Row,
     /// Largest admitted Q [-]; may be infinite.
     pub threshold: f64,
 }
 
 impl Joint {
     /// Q of the features `m` [-].
-    pub fn misfit(&self, m: &Features) -> f64 {
+    pub fn misfit(&self, m: &Row) -> f64 {
         (0..8).map(|k| (self.offset[k] - dot(&self.w[k], m)).powi(2)).sum()
     }
 }
@@ -148,7 +148,7 @@ impl Joint {
 pub(super) struct Inverse {
     pub w: [[f64; 8]; 8],
     /// One row for each feature; none if the features in use are not all determined.
-    pub rows: Option<[Features; 8]>,
+    pub rows: Option<[Row; 8]>,
 }
 
 impl Inverse {
@@ -160,10 +160,10 @@ impl Inverse {
     }
 
     /// Modified Gram-Schmidt W = Q R, then R^-1 Q^T by back substitution.
-    fn rows(w: &[[f64; 8]; 8]) -> Option<[Features; 8]> {
+    fn rows(w: &[[f64; 8]; 8]) -> Option<[Row; 8]> {
         let (mut q, mut r) = ([[0.0; 8]; 8], [[0.0; 8]; 8]);
         for i in 0..8 {
-            let column: Features = std::array::from_fn(|k| w[k][i]);
+            let column: Row = std::array::from_fn(|k| w[k][i]);
             let (mut rest, length) = (column, dot(&column, &column).sqrt());
             if length == 0.0 {
                 continue;

@@ -27,7 +27,16 @@ impl Rng {
     }
 }
 
-fn lattice_of(f: Vec<f64>, z: Vec<f64>, m: impl Fn(f64, f64) -> Features, directions: [(f64, f64); 8]) -> Lattice {
+fn span(i: Interval) -> Span {
+    (i.lo, i.hi)
+}
+
+fn hull(p: &Part) -> Limits {
+    let (f, z) = (span(p.fsj), span(p.zeta));
+    Limits { f, z }
+}
+
+fn lattice_of(f: Vec<f64>, z: Vec<f64>, m: impl Fn(f64, f64) -> Row, directions: [(f64, f64); 8]) -> Lattice {
     let nodes = z
         .iter()
         .flat_map(|&z| f.iter().map(move |&f| (f, z)))
@@ -110,7 +119,7 @@ fn check(lattice: &Lattice, joint: &Joint, bands: &[Span; 8], domain: Limits, de
     };
     let mut windows = vec![domain];
     if let Some(p) = &paving {
-        let h = p.whole.hull;
+        let h = hull(&p.whole);
         assert!(domain.holds(&h), "hull {h:?} leaves the domain");
         let grow = |s: Span, d: Span| ((s.0 - 0.1 * (s.1 - s.0)).max(d.0), (s.1 + 0.1 * (s.1 - s.0)).min(d.1));
         windows.push(Limits {
@@ -119,7 +128,10 @@ fn check(lattice: &Lattice, joint: &Joint, bands: &[Span; 8], domain: Limits, de
         });
         for b in p.boxes.iter().filter(|b| b.inside) {
             for (u, v) in [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.5, 0.5), (0.2, 0.9)] {
-                assert!(member(lerp(b.f, u), lerp(b.z, v)) >= 0, "{b:?} is not inside");
+                assert!(
+                    member(lerp(span(b.fsj), u), lerp(span(b.zeta), v)) >= 0,
+                    "{b:?} is not inside"
+                );
             }
         }
     }
@@ -130,7 +142,7 @@ fn check(lattice: &Lattice, joint: &Joint, bands: &[Span; 8], domain: Limits, de
             let at = |k: usize| (k as f64 + 0.5) / n as f64;
             let (f, z) = (lerp(w.f, at(k % n)), lerp(w.z, at(k / n)));
             let is = member(f, z);
-            let holds = |b: &&PavedBox| inside(b.f, f, 0.0) && inside(b.z, z, 0.0);
+            let holds = |b: &&PavedBox| b.fsj.contains(f) && b.zeta.contains(z);
             let held: Vec<&PavedBox> = paving.iter().flat_map(|p| p.boxes.iter()).filter(holds).collect();
             assert!(is < 1 || !held.is_empty(), "({f}, {z}) is in S but in no box");
             assert!(
@@ -144,7 +156,7 @@ fn check(lattice: &Lattice, joint: &Joint, bands: &[Span; 8], domain: Limits, de
         }
         found += count;
         if let Some(p) = paving.as_ref().filter(|_| count > 1000) {
-            let (o, i, cell) = (p.whole.hull, p.whole.inner_hull.unwrap(), 4.0 / n as f64);
+            let (o, i, cell) = (hull(&p.whole), p.whole.inner_hull.unwrap(), 4.0 / n as f64);
             let width = ((w.f.1 - w.f.0) * cell, (w.z.1 - w.z.0) * cell);
             assert!(o.holds(&sampled));
             assert!(
@@ -154,7 +166,7 @@ fn check(lattice: &Lattice, joint: &Joint, bands: &[Span; 8], domain: Limits, de
             let area = count as f64 / (n * n) as f64 * (w.f.1 - w.f.0) * (w.z.1 - w.z.0);
             let noise = 0.04 * area;
             assert!(
-                p.whole.inner_area <= area + noise && area - noise <= p.whole.outer_area,
+                p.whole.inner <= area + noise && area - noise <= p.whole.outer,
                 "area {area} {p:?}"
             );
         }
@@ -162,11 +174,11 @@ fn check(lattice: &Lattice, joint: &Joint, bands: &[Span; 8], domain: Limits, de
     if let Some(p) = &paving {
         let sum = |all: bool| -> f64 {
             let boxes = p.boxes.iter().filter(|b| all || b.inside);
-            boxes.map(|b| (b.f.1 - b.f.0) * (b.z.1 - b.z.0)).sum()
+            boxes.map(|b| b.fsj.width() * b.zeta.width()).sum()
         };
-        let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * p.whole.outer_area;
-        assert!(close(sum(true), p.whole.outer_area) && close(sum(false), p.whole.inner_area));
-        assert!(close(p.parts.iter().map(|p| p.outer_area).sum(), p.whole.outer_area));
+        let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * p.whole.outer;
+        assert!(close(sum(true), p.whole.outer) && close(sum(false), p.whole.inner));
+        assert!(close(p.parts.iter().map(|p| p.outer).sum(), p.whole.outer));
         assert!(
             !dense || (p.area_gap <= 0.05 && p.hull_gap <= 0.005),
             "{} {}",
@@ -268,16 +280,12 @@ fn prop_ellipse_has_its_area_hull_and_centroid() {
             )
             .expect("a set");
         let area = std::f64::consts::PI * a * b;
-        assert!(
-            p.whole.inner_area <= area && area <= p.whole.outer_area,
-            "{area} {:?}",
-            p.whole
-        );
+        assert!(p.whole.inner <= area && area <= p.whole.outer, "{area} {:?}", p.whole);
         let exact = Limits {
             f: (f - a, f + a),
             z: (z - b, z + b),
         };
-        assert!(p.whole.hull.excess(&exact, (a, b)) <= 1e-9 && exact.excess(&p.whole.hull, (a, b)) <= 0.01);
+        assert!(hull(&p.whole).excess(&exact, (a, b)) <= 1e-9 && exact.excess(&hull(&p.whole), (a, b)) <= 0.01);
         assert!(
             p.area_gap <= 0.05 && p.hull_gap <= 0.005 && p.parts.len() == 1,
             "{a} {b} {} {} {:?}",
@@ -326,9 +334,9 @@ fn prop_two_parts_are_told_apart() {
         let p = check(&lattice, &joint, &[FREE; 8], everything(&lattice), true)
             .0
             .expect("a set");
-        let big: Vec<&Part> = p.parts.iter().filter(|p| p.inner_area > 0.0).collect();
+        let big: Vec<&Part> = p.parts.iter().filter(|p| p.inner > 0.0).collect();
         assert!(big.len() == 2 && p.parts.len() == 2, "{:?}", p.parts);
-        assert!(p.parts[0].outer_area >= p.parts[1].outer_area);
+        assert!(p.parts[0].outer >= p.parts[1].outer);
         for (f, z) in [(f, z), (z, f)] {
             let near = |p: &&&Part| (p.centroid.0 - f).abs() < 0.02 && (p.centroid.1 - z).abs() < 0.02;
             assert!(big.iter().filter(near).count() == 1, "({f}, {z}) {big:?}");
@@ -346,10 +354,10 @@ fn prop_sets_thinner_than_a_box_are_enclosed() {
     let p = Paver::new()
         .pave(&lattice, &point, &[FREE; 8], &everything(&lattice), &Goal::default())
         .expect("a point");
-    let h = p.whole.hull;
+    let h = hull(&p.whole);
     assert!(inside(h.f, 0.41, 0.0) && inside(h.z, 0.37, 0.0) && h.f.1 - h.f.0 < 1e-4 && h.z.1 - h.z.0 < 1e-4);
     assert!(
-        p.whole.inner_area == 0.0 && p.whole.inner_hull.is_none() && p.boxes.len() < 5000,
+        p.whole.inner == 0.0 && p.whole.inner_hull.is_none() && p.boxes.len() < 5000,
         "{} {:?}",
         p.boxes.len(),
         p.whole
@@ -367,8 +375,8 @@ fn prop_sets_thinner_than_a_box_are_enclosed() {
     let p = check(&lattice, &joint, &[FREE; 8], everything(&lattice), false)
         .0
         .expect("a line");
-    assert!(p.whole.hull.f == (0.0, 1.0) && p.whole.hull.z == (0.0, 1.0) && p.parts.len() == 1);
-    assert!(p.whole.outer_area < 1e-3);
+    assert!(hull(&p.whole).f == (0.0, 1.0) && hull(&p.whole).z == (0.0, 1.0) && p.parts.len() == 1);
+    assert!(p.whole.outer < 1e-3);
 }
 
 #[test]
@@ -386,13 +394,14 @@ fn prop_bands_alone() {
         .0
         .expect("a rectangle");
     let z = (lattice.zeta[0], 0.611);
-    assert!(p.whole.hull.excess(&Limits { f: (0.213, 0.507), z }, (1.0, 1.0)).abs() < 1e-9);
-    let area = 0.294 * (0.611 - z.0);
     assert!(
-        (p.whole.inner_area - area).abs() < 1e-3,
-        "{} {area}",
-        p.whole.inner_area
+        hull(&p.whole)
+            .excess(&Limits { f: (0.213, 0.507), z }, (1.0, 1.0))
+            .abs()
+            < 1e-9
     );
+    let area = 0.294 * (0.611 - z.0);
+    assert!((p.whole.inner - area).abs() < 1e-3, "{} {area}", p.whole.inner);
     for _ in 0..20 {
         let lattice = random_lattice(&mut rng, 1.0);
         let domain = everything(&lattice);
@@ -404,7 +413,7 @@ fn prop_bands_alone() {
     let all = Paver::new()
         .pave(&lattice, &free, &[FREE; 8], &everything(&lattice), &Goal::default())
         .expect("all");
-    assert!(all.whole.hull == everything(&lattice) && all.area_gap == 0.0);
+    assert!(hull(&all.whole) == everything(&lattice) && all.area_gap == 0.0);
 }
 
 #[test]

@@ -2,7 +2,6 @@
 //! for the usual mistakes before anything is fitted.
 
 use super::bench::{Bench, BenchChannel, ChannelSpec, Noise, Role, RunSpec};
-use super::signals::ChannelNoise;
 use super::table::Table;
 use schemas::error::{Error, Result};
 use std::collections::BTreeMap;
@@ -268,6 +267,15 @@ fn evened(time: &[f64], x: &[f64], step: f64) -> Vec<f64> {
             x[at] + share * (x[at + 1] - x[at])
         })
         .collect()
+}
+
+/// Noise of a channel.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ChannelNoise {
+    /// of one sample, SI at the motor
+    pub rms: f64,
+    /// correlation from sample to sample (first-order, 0 = white)
+    pub colour: f64,
 }
 
 /// Noise of a channel, resolution included; SI at the motor.

@@ -3,7 +3,7 @@
 
 use super::bench::{Bench, BenchChannel, ControllerLaw};
 use super::filter::FilterBank;
-use super::recording::{self, Run};
+use super::recording::{self, ChannelNoise, Run};
 use std::collections::BTreeMap;
 
 /// Highest corner of the filters as a share of the sampling rate, and lowest corner [Hz] (assumed).
@@ -16,15 +16,6 @@ const CREEP: f64 = 1e-4;
 
 /// Share of the supply voltage that the back-EMF may take before the current is no longer held (assumed).
 const SUPPLY_SHARE: f64 = 0.85;
-
-/// Noise of a channel.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ChannelNoise {
-    /// of one sample, SI at the motor
-    pub rms: f64,
-    /// correlation from sample to sample (first-order, 0 = white)
-    pub colour: f64,
-}
 
 /// Noise of each channel.
 pub type NoiseTable = BTreeMap<BenchChannel, ChannelNoise>;

@@ -69,7 +69,7 @@ pub enum Quantity {
 }
 
 impl Kind {
-    /// The candidate list of `discrepancy.md`, without the re-tuned parameters.
+    /// The effects that the study knows by name.
     pub const LIST: [Kind; 26] = [
         Stribeck,
         LubricatedRise,
@@ -181,12 +181,12 @@ impl Kind {
         }
     }
 
-    /// Canonical name of `interfaces.md`.
+    /// Name in forced cases and keys: the study's word for it.
     pub fn name(self) -> &'static str {
         self.entry().0
     }
 
-    /// Parameter keys of `interfaces.md`.
+    /// Keys of its parameters, as in the study's findings.
     pub fn keys(self) -> &'static [&'static str] {
         self.entry().1
     }
@@ -384,7 +384,7 @@ impl Effect {
         }
     }
 
-    /// True values under the keys of `interfaces.md`.
+    /// True values under these keys.
     pub fn parameters(&self, p: &Nominal) -> Vec<(&'static str, f64)> {
         let first = match self.kind {
             Presliding | Compliance => 1.0 / self.amp,

@@ -121,7 +121,7 @@ pub struct Nominal {
     pub pairs: f64,
 }
 
-/// What `BENCH.toml` says of every rig (ntb.md; the Coulomb torque is 0.7 of 0.03 N m).
+/// What `BENCH.toml` says of every rig (the Coulomb torque is 0.7 of 0.03 N m).
 pub const ASSUMED: Nominal = Nominal {
     kt: 0.0752,
     ke: 0.0752,

@@ -1,4 +1,4 @@
-//! Rig 2: the three-phase actuator of `ntb.md` (star, trapezoidal back-EMF, six-step references, hysteresis relays).
+//! Rig 2: the three-phase actuator (star, trapezoidal back-EMF, six-step references, hysteresis relays).
 //! Two rates: mechanics by leapfrog every 10 us with the mean currents of the step, windings by the midpoint rule in
 //! between, with the shapes held at the step's middle angle. The current demand is the servo's law at 10 kHz.
 
@@ -9,7 +9,7 @@ use super::{Laws, Quantity, Row, Run, Sums, Truth};
 
 /// Mechanical steps per controller sample.
 const STEPS: usize = 10;
-/// Half-band of the relays, A (ntb.md).
+/// Half-band of the relays, A (datasets/parameters/reference.toml).
 const BAND: f64 = 0.1;
 
 /// Runs the actuator on a command with `sub` steps of the windings per mechanical step.
