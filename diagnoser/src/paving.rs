@@ -17,13 +17,14 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
+use crate::uncertainty::{MOST, Row};
 use parts::Tally;
 use strip::{Bands, Cell, Strip};
 use surface::Inverse;
 pub use surface::{Joint, Lattice};
 
 /// One value for each feature; unused features are zero.
-pub type Features = [f64; 8];
+pub type Features = Row;
 type Span = (f64, f64);
 
 const EMPTY: Span = (f64::INFINITY, f64::NEG_INFINITY);
@@ -48,6 +49,7 @@ fn lerp(span: Span, t: f64) -> f64 {
 }
 
 fn dot(a: &Features, b: &Features) -> f64 {
+    const { assert!(MOST == 8, "four pairs, and a bit of `live` for each") };
     let p: [f64; 4] = std::array::from_fn(|k| a[k] * b[k] + a[k + 4] * b[k + 4]);
     (p[0] + p[1]) + (p[2] + p[3])
 }
@@ -166,7 +168,7 @@ impl Paver {
         &mut self,
         lattice: &Lattice,
         joint: &Joint,
-        bands: &[(f64, f64); 8],
+        bands: &[(f64, f64); MOST],
         domain: &Limits,
         goal: &Goal,
     ) -> Option<Paving> {
@@ -217,12 +219,12 @@ impl Paver {
         let (low, high) = self.reach(joint, threshold, bands);
         // z is a difference of terms of this size; its rounding times twice z is that of Q.
         let scale: Features = std::array::from_fn(|k| {
-            (0..8).map(|i| (joint.w[k][i] * lattice.peak[i]).abs()).sum::<f64>() + joint.offset[k].abs()
+            (0..MOST).map(|i| (joint.w[k][i] * lattice.peak[i]).abs()).sum::<f64>() + joint.offset[k].abs()
         });
         let scale = 1e-14 * dot(&scale, &scale).sqrt();
         assert!(scale.is_finite(), "whitening and offset must be finite");
-        let columns: [Features; 8] = std::array::from_fn(|i| std::array::from_fn(|k| joint.w[k][i]));
-        let used: [bool; 8] = columns.map(|c| c.iter().any(|&x| x != 0.0));
+        let columns: [Features; MOST] = std::array::from_fn(|i| std::array::from_fn(|k| joint.w[k][i]));
+        let used: [bool; MOST] = columns.map(|c| c.iter().any(|&x| x != 0.0));
 
         self.blocks.clear();
         self.blocks.push([i0, i1, j0, j1]);
@@ -448,7 +450,7 @@ fn settle(strip: &Strip, index: u32, open: &mut Vec<u32>, settled: &mut Tally) {
 fn misses(corners: [&Features; 4], low: &Features, high: &Features) -> bool {
     let [a, b, c, d] = corners;
     let mut miss = false;
-    for k in 0..8 {
+    for k in 0..MOST {
         let (least, most) = join(join((a[k], a[k]), (b[k], b[k])), join((c[k], c[k]), (d[k], d[k])));
         miss |= (most < low[k]) | (least > high[k]);
     }

@@ -4,6 +4,7 @@ use crate::maps::scan;
 use anyhow::Result;
 use polars::prelude::*;
 use schemas::error::Error;
+use schemas::feature::{Feature, Form, Raw};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -44,7 +45,7 @@ impl Table {
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Runs => "telemetry, one row a sample",
-            Self::Features => "one row a run; p1_rad_per_s, speed_loss_rad_per_s, p3 over the healthy run",
+            Self::Features => "one row a run: what was measured, and what is formed of it over the healthy run",
             Self::Actuators => "drawn parameters, one row an actuator",
             Self::Maps => "failure maps, one row a grid point and feature",
             Self::Diagnoses => "one row a diagnosed test",
@@ -147,32 +148,40 @@ fn runs(pattern: &Path) -> Result<LazyFrame> {
     Ok(frame.with_column(half.alias("i_eq")))
 }
 
-/// Features as stored by a fleet; of one actuator's dataset with P1 and P3 over the healthy run of the same
-/// rest angle, which is formed here.
+/// Features as stored by a fleet; of one actuator's dataset with those over the healthy run of the same
+/// rest angle, which are formed here.
 fn features(pattern: &Path) -> Result<LazyFrame> {
     let mut raw = scan(pattern)?;
     if names(&mut raw, pattern)?.iter().any(|n| n == "actuator") {
         return Ok(raw);
     }
+    let is_needed = |r: &Raw| Feature::over_nominal().any(|f| f.form().raws().any(|x| x == *r));
+    let needed: Vec<Raw> = Raw::ALL.into_iter().filter(is_needed).collect();
+    let of = |r: Raw| col(r.column());
+    let name = |r: Raw| format!("{}_0", r.column());
+    let kept = std::iter::once(col("rest_angle_rad")).chain(needed.iter().map(|&r| of(r).alias(name(r))));
     let healthy = raw
         .clone()
         .filter(col("fsj").eq(lit(1.0)).and(col("zeta").eq(lit(0.0))))
-        .select([
-            col("rest_angle_rad"),
-            col("mean_speed_rad_per_s").alias("mean_0"),
-            col("p3_rad").alias("p3_0"),
-        ]);
+        .select(kept.collect::<Vec<_>>());
     let on = [col("rest_angle_rad")];
-    let d = col("mean_speed_rad_per_s") - col("mean_0");
-    let r = col("ripple_rad_per_s");
+    let nominal = |r: Raw| col(name(r));
+    let over = |f: Feature| {
+        let formed = match f.form() {
+            Form::Same(r) => of(r),
+            Form::Ratio(r) => of(r) / nominal(r),
+            Form::Loss(r) => nominal(r) - of(r),
+            Form::Length(mean, deviation) => {
+                let (r, d) = (of(deviation), of(mean) - nominal(mean));
+                (r.clone() * r + d.clone() * d).sqrt()
+            }
+        };
+        formed.alias(f.key())
+    };
     Ok(raw
         .join(healthy, on.clone(), on, JoinArgs::new(JoinType::Left))
-        .with_columns([
-            (r.clone() * r + d.clone() * d.clone()).sqrt().alias("p1_rad_per_s"),
-            (lit(0.0) - d).alias("speed_loss_rad_per_s"),
-            (col("p3_rad") / col("p3_0")).alias("p3"),
-        ])
-        .drop(cols(["mean_0", "p3_0"])))
+        .with_columns(Feature::over_nominal().map(over).collect::<Vec<_>>())
+        .drop(cols(needed.into_iter().map(name))))
 }
 
 /// Diagnoses by fault: one row a diagnosis and fault, all FSJ rows first.

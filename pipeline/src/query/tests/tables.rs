@@ -135,7 +135,7 @@ fn the_dataset_of_one_actuator_stays_as_it_was() {
     write(&dir.path().join("maps.parquet"), maps.unwrap());
     let frame = query(dir.path(), "SELECT * FROM features ORDER BY run").unwrap();
     let names: Vec<&str> = frame.get_column_names().iter().map(|n| n.as_str()).collect();
-    assert_eq!(names[7..], ["p1_rad_per_s", "speed_loss_rad_per_s", "p3"]);
+    assert_eq!(names[7..], ["p1_rad_per_s", "p3", "speed_loss_rad_per_s"]);
     let all = |c: &str| [0, 1, 2, 3].map(|i| number(&frame, c, i));
     for (column, right) in [
         ("p1_rad_per_s", [0.01, 0.05, 0.02, 0.1]),
