@@ -8,6 +8,7 @@ use diagnoser::receive::{Options, Show, receive};
 use pipeline::maps::{self, MapRequest};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::fault::FaultState;
+use schemas::feature::Raw;
 use schemas::stream::diagnosis::DiagnosisSubscriber;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription, SAMPLES};
 use schemas::stream::publisher::{Delivery, Pass, Publisher};
@@ -445,7 +446,7 @@ fn extractor() {
             k += 100;
         }
         let f = x.features();
-        f.mean_speed_rad_per_s.unwrap_or(0.0) + f.p2_a.unwrap_or(0.0)
+        f[Raw::MeanSpeed].unwrap_or(0.0) + f[Raw::P2].unwrap_or(0.0)
     };
     let mut own = vec![0.0; 30_000 * CHANNELS];
     let copy = rate(30_000, || {

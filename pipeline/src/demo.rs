@@ -63,7 +63,7 @@ pub fn statistics(
     seeds: u64,
 ) -> CaseStatistics {
     let set = &diagnoser.maps;
-    let rest_angle_rad = set.header.rest_angle_rad;
+    let rest_angle_rad = set.header.kind.rest_angle_rad;
     let results: Vec<(f64, f64, bool, f64, f64)> = (0..seeds)
         .into_par_iter()
         .map(|seed| {

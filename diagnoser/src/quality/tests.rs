@@ -58,6 +58,29 @@ fn left_by(q: &MapQuality, remedy: Remedy) -> &Candidate {
 }
 
 #[test]
+fn prop_a_map_too_many_is_refused_by_name_and_what_has_parts_does_not_count() {
+    let maps = |n: usize| vec![map(Feature::P2, 0.01, 0.0, |f, z| f + z); n];
+    let mut many = set(maps(8));
+    assert!(many.check("test").is_ok());
+    for feature in [Feature::Ripple, Feature::SpeedLoss, Feature::P1] {
+        let direction = feature.direction();
+        many.maps.push(map(feature, 0.01, 0.0, |f, z| direction.0 * f + z));
+        assert!(many.check("test").is_err());
+    }
+    let e = Diagnoser::new(many.clone(), None, COVERAGE, &Vec::new())
+        .unwrap_err()
+        .to_string();
+    assert!(e.contains("ripple") && e.contains("8 at most"), "{e}");
+    many.maps.drain(..2);
+    // P1 says nothing that its parts do not
+    let joint: Vec<Feature> = many.joint().map(|m| m.feature).collect();
+    assert_eq!(joint[6..], [Feature::Ripple, Feature::SpeedLoss]);
+    assert!(many.check("test").is_ok());
+    many.witnesses = maps(9);
+    assert!(many.check("test").is_err());
+}
+
+#[test]
 fn prop_parallel_maps_cannot_isolate_and_a_third_that_is_not_can() {
     let along = |f: f64, z: f64| f + 4.0 * z;
     let pair = || {

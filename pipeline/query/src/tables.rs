@@ -43,7 +43,7 @@ impl Table {
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Runs => "telemetry, one row a sample",
-            Self::Features => "one row a run; p1_rad_per_s, speed_loss_rad_per_s, p3 over the healthy run",
+            Self::Features => "one row a run: what was measured, and what is formed of it over the healthy run",
             Self::Actuators => "drawn parameters, one row an actuator",
             Self::Maps => "failure maps, one row a grid point and feature",
             Self::Diagnoses => "one row a diagnosed test",
