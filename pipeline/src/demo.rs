@@ -1,32 +1,27 @@
-//! `ema demo`: grid, maps, the four cases of the paper's Table I, and a report.
+//! `ema demo`: grid, maps, and the four cases of the paper's Table I.
 
-use crate::COMMIT;
-use crate::calibrate::Effort;
-use crate::case::{self, Settings};
-use crate::dataset::Dataset;
-use crate::maps;
-use crate::report::{self, Figure, Report, Section, Table, TableRow};
-use crate::report_pages;
+use crate::case::{self, Case, Settings};
+use crate::dataset::{self, Dataset};
+use crate::{COMMIT, maps};
 use anyhow::Result;
 use diagnoser::diagnosis::{Diagnoser, Outcome};
 use diagnoser::map_library::Choice;
 use diagnoser::sensitivity::noise_sigma;
 use rayon::prelude::*;
 use schemas::channel::{Channel, ChannelSet};
-use schemas::fault::FaultState;
+use schemas::fault::{FaultGrid, FaultState};
 use schemas::recording::Recorder;
-use schemas::telemetry::{Collector, TelemetryBuffer, TelemetrySink};
+use schemas::telemetry::{Collector, TelemetryBuffer, TelemetryHeader, TelemetrySink};
 use sim_worker::dataset::one::OneActuator;
 use sim_worker::dataset::plan::DatasetPlan;
 use sim_worker::dataset::storage::Storage;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
-use sim_worker::monitor::MonitorTrack;
 use sim_worker::parameters::ActuatorParameters;
-use sim_worker::sensor::{SensorNoise, Sensors};
+use sim_worker::sensor::{SensorModel, SensorNoise, Sensors};
 use sim_worker::setup::TestSetup;
 use sim_worker::simulate::{Run, simulate};
 use sim_worker::test_bench::Lane;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -64,7 +59,7 @@ pub fn statistics(
     truth: FaultState,
     diagnoser: &Diagnoser,
     plan: &Arc<FeaturePlan>,
-    sensors: &sim_worker::sensor::SensorModel,
+    sensors: &SensorModel,
     seeds: u64,
 ) -> CaseStatistics {
     let set = &diagnoser.maps;
@@ -116,299 +111,190 @@ pub fn statistics(
     }
 }
 
-/// Simulates the grid, builds the maps, diagnoses the paper's cases (and `file`), writes the report.
-pub fn demo(out: &Path, grid: &str, seeds: u64, file: Option<&Path>) -> Result<()> {
+/// A simulated grid and its maps, ready to diagnose.
+pub struct Grid {
+    pub setup: TestSetup,
+    pub faults: FaultGrid,
+    pub runs: u64,
+    /// made now; the others were there
+    pub steps: u64,
+    pub seconds: f64,
+    pub diagnoser: Diagnoser,
+}
+
+impl Grid {
+    fn sensors(&self) -> &SensorModel {
+        self.setup.sensors.as_ref().expect("the demo has sensors")
+    }
+}
+
+/// Simulates the grid called `name` into `dataset`, builds and calibrates its maps.
+fn grid(name: &str, dataset: &Path, choice: &Choice) -> Result<Grid> {
     let begin = Instant::now();
     let actuator = Arc::new(ActuatorParameters::reference());
-    let sequence = sim_worker::catalogue::sequence("preflight")?;
-    let sensors = sim_worker::catalogue::sensors("reference")?.expect("built in");
-    let channels = ChannelSet::basic();
     let setup = TestSetup {
-        sensors: Some(sensors.clone()),
-        ..TestSetup::new(actuator.clone(), sequence.clone(), 10_000.0)
+        sensors: sim_worker::catalogue::sensors("reference")?,
+        ..TestSetup::new(actuator, sim_worker::catalogue::sequence("preflight")?, 10_000.0)
     };
-    let grid = sim_worker::catalogue::grid(grid)?;
+    let faults = sim_worker::catalogue::grid(name)?;
     let plan = DatasetPlan::of_one(&OneActuator {
         setup: &setup,
-        grid: &grid,
+        grid: &faults,
         rest_angles_rad: &[],
         seed: 0,
         telemetry: None,
     })?;
-    let dataset = out.join("dataset");
-    let runs = plan.runs();
     let storage = Storage::open(&dataset.display().to_string())?;
-    let (done, _) = crate::dataset::make(&plan, &storage, "grid")?.ok_or(crate::Interrupted)?;
-    let (steps, grid_s) = (done.steps, begin.elapsed().as_secs_f64());
-    let set = crate::dataset::maps::of_one(&Dataset::of(storage)?, false)?;
+    let (done, _) = dataset::make(&plan, &storage, "grid")?.ok_or(crate::Interrupted)?;
+    let seconds = begin.elapsed().as_secs_f64();
+    let set = dataset::maps::of_one(&Dataset::of(storage)?, false)?;
     let maps_file = dataset.join("maps.parquet");
     set.save(&maps_file)?;
-    let experiment = setup.experiment(channels)?;
+    Ok(Grid {
+        diagnoser: maps::calibrated(&maps_file, set, &setup, choice, &Vec::new())?,
+        setup,
+        faults,
+        runs: plan.runs(),
+        steps: done.steps,
+        seconds,
+    })
+}
+
+/// A case of the paper's Table I.
+pub struct TableCase {
+    /// the paper's errors in percent: zeta, FSJ
+    pub paper: (f64, f64),
+    /// one noise seed, recorded and diagnosed from the file
+    pub case: Case,
+    pub statistics: CaseStatistics,
+    /// standard deviations that noise alone makes: FSJ, zeta
+    pub noise: Option<(f64, f64)>,
+    /// noise free
+    pub run: Collector,
+}
+
+impl TableCase {
+    pub fn truth(&self) -> FaultState {
+        self.statistics.truth
+    }
+
+    /// What stands in the table, as pairs of zeta and FSJ with `and` between them: exact, detected, error in percent,
+    /// median and 95th percentile of the seeds' errors; and the share of seeds with the truth inside.
+    pub fn words(&self, and: &str) -> [String; 6] {
+        let (t, s) = (self.truth(), &self.statistics);
+        let found = self.case.diagnosis.outcome.area();
+        let (fsj, zeta) = found.map_or((f64::NAN, f64::NAN), |a| a.centroid);
+        let percent = |exact: f64, x: f64| 100.0 * (exact - x).abs() / exact;
+        let pair = |zeta: f64, fsj: f64| format!("{zeta:.2}{and}{fsj:.2}");
+        let of_seeds = |q: f64| pair(quantile(&s.zeta_error, q), quantile(&s.fsj_error, q));
+        [
+            format!("{:.2}{and}{:.1}", t.zeta, t.fsj),
+            format!("{zeta:.4}{and}{fsj:.4}"),
+            pair(percent(t.zeta, zeta), percent(t.fsj, fsj)),
+            of_seeds(0.5),
+            of_seeds(0.95),
+            format!("{:.0} %", 100.0 * s.inside),
+        ]
+    }
+}
+
+/// What the demonstration found.
+pub struct DemoResult {
+    pub grid: Grid,
+    pub seeds: u64,
+    pub table: Vec<TableCase>,
+    pub own: Option<(PathBuf, Case)>,
+    /// a run without faults, noise free
+    pub healthy: Collector,
+}
+
+/// Simulates the grid into `out`, builds the maps, diagnoses the paper's cases (and `file`).
+pub fn run(out: &Path, grid_name: &str, seeds: u64, file: Option<&Path>) -> Result<DemoResult> {
+    let (dataset, cases) = (out.join("dataset"), out.join("cases"));
     let choice = Choice::usual();
-    let diagnoser = maps::calibrated(&maps_file, set, &setup, &choice, &Vec::new())?;
-    let set = &diagnoser.maps;
-
-    // the cases: simulated noise free once, recorded through the sensors
-    let bare = experiment.bare(channels.with(Channel::TorqueM));
-    let faults: Vec<FaultState> = TABLE_I
-        .iter()
-        .map(|&(zeta, fsj, _, _)| FaultState { fsj, zeta })
-        .chain([FaultState::NOMINAL])
-        .collect();
-    let lanes: Vec<Run> = faults
-        .iter()
-        .enumerate()
-        .map(|(i, &fault)| Run {
-            number: i as u64,
-            lane: Lane {
-                actuator: actuator.clone(),
-                fault,
-                rest_angle_rad: 0.0,
-                load_n_m: 0.0,
-            },
-            seed: i as u64,
-        })
-        .collect();
-    let mut collected = vec![Collector::default(); lanes.len()];
-    simulate(&bare, &lanes, &mut collected, || !crate::progress::interrupted())?.ok_or(crate::Interrupted)?;
-    let feature_plan = Arc::new(FeaturePlan::new(&actuator, &sequence, experiment.rate_hz, false));
-
+    let grid = grid(grid_name, &dataset, &choice)?;
+    let mut runs = bare_runs(&grid)?;
+    let healthy = runs.pop().expect("the last one has no faults");
+    let plan = Arc::new(grid.setup.feature_plan());
     let settings = Settings {
-        actuator: Some(actuator.clone()),
-        maps: Some(dataset.clone()),
+        actuator: Some(grid.setup.actuator.clone()),
+        maps: Some(dataset),
         run: None,
         sequence: None,
         sensors: "auto".into(),
-        grid: grid.clone(),
-        choice: choice.clone(),
+        grid: grid.faults.clone(),
+        choice,
         known: Vec::new(),
     };
-    let cases_dir = out.join("cases");
-    std::fs::create_dir_all(&cases_dir)?;
-    let mut rows = Vec::new();
-    let mut sections = Vec::new();
-    let mut text_table = vec![format!(
-        "{:>14}  {:>16}  {:>17}  {:>17}  {:>17}  {:>6}",
-        "exact", "detected", "error % (paper)", "median % of seeds", "95th % of seeds", "inside"
-    )];
-    for (i, &(zeta, fsj, paper_zeta, paper_fsj)) in TABLE_I.iter().enumerate() {
+    std::fs::create_dir_all(&cases)?;
+    let mut table = Vec::new();
+    for (i, (run, (zeta, fsj, paper_zeta, paper_fsj))) in runs.into_iter().zip(TABLE_I).enumerate() {
+        let path = cases.join(format!("case_{}.parquet", i + 1));
+        record(&path, &grid, &run, 1000 + i as u64)?;
         let truth = FaultState { fsj, zeta };
-        let path = cases_dir.join(format!("case_{}.parquet", i + 1));
-        let seed = 1000 + i as u64;
-        record(&path, &setup, &collected[i], seed)?;
-        let c = case::run(&path, &settings)?;
-        let s = statistics(&collected[i], truth, &diagnoser, &feature_plan, &sensors, seeds);
-        let area = c.diagnosis.outcome.area();
-        let found = area.map_or((f64::NAN, f64::NAN), |a| a.centroid);
-        let percent = |exact: f64, x: f64| 100.0 * (exact - x).abs() / exact;
-        let (ez, ef) = (percent(zeta, found.1), percent(fsj, found.0));
-        let sigma = noise_sigma(set, fsj, zeta);
-        rows.push(TableRow {
-            cells: vec![
-                format!("{zeta:.2} / {fsj:.1}"),
-                format!("{:.4} / {:.4}", found.1, found.0),
-                format!("{ez:.2} / {ef:.2}"),
-                format!("{paper_zeta:.2} / {paper_fsj:.2}"),
-                format!(
-                    "{:.2} / {:.2}",
-                    quantile(&s.zeta_error, 0.5),
-                    quantile(&s.fsj_error, 0.5)
-                ),
-                format!(
-                    "{:.2} / {:.2}",
-                    quantile(&s.zeta_error, 0.95),
-                    quantile(&s.fsj_error, 0.95)
-                ),
-                format!("{:.4} / {:.3}", s.zeta_width, s.fsj_width),
-                format!("{:.0} %", 100.0 * s.inside),
-                sigma.map_or("-".into(), |(f, z)| format!("{z:.5} / {f:.4}")),
-            ],
-            emphasis: false,
+        table.push(TableCase {
+            paper: (paper_zeta, paper_fsj),
+            case: case::run(&path, &settings)?,
+            statistics: statistics(&run, truth, &grid.diagnoser, &plan, grid.sensors(), seeds),
+            noise: noise_sigma(&grid.diagnoser.maps, fsj, zeta),
+            run,
         });
-        text_table.push(format!(
-            "{:>14}  {:>16}  {:>17}  {:>17}  {:>17}  {:>6}",
-            format!("{zeta:.2} {fsj:.1}"),
-            format!("{:.4} {:.4}", found.1, found.0),
-            format!("{ez:.2} {ef:.2} ({paper_zeta:.1} {paper_fsj:.1})"),
-            format!("{:.2} {:.2}", quantile(&s.zeta_error, 0.5), quantile(&s.fsj_error, 0.5)),
-            format!(
-                "{:.2} {:.2}",
-                quantile(&s.zeta_error, 0.95),
-                quantile(&s.fsj_error, 0.95)
-            ),
-            format!("{:.0} %", 100.0 * s.inside),
-        ));
-        sections.push(case_section(
-            &format!("Case {}: zeta {zeta}, FSJ {fsj}", i + 1),
-            &format!("case_{}", i + 1),
-            &c,
-            Some(truth),
-        ));
     }
-    if let Some(path) = file {
-        let own = Settings {
-            maps: None,
-            ..settings.clone()
-        };
-        let c = case::run(path, &own)?;
-        crate::cli::say(&case::to_text(&c));
-        sections.push(case_section(
-            &format!("Your recording: {}", path.display()),
-            "recording",
-            &c,
-            None,
-        ));
-    }
+    let own = |path: &Path| -> Result<_> {
+        let settings = Settings { maps: None, ..settings };
+        Ok((path.to_path_buf(), case::run(path, &settings)?))
+    };
+    Ok(DemoResult {
+        own: file.map(own).transpose()?,
+        grid,
+        seeds,
+        table,
+        healthy,
+    })
+}
 
-    let table = Table {
-        caption: "Table I of the paper beside this run".into(),
-        header: [
-            "exact zeta / FSJ",
-            "detected",
-            "error %",
-            "paper's error %",
-            "median error %",
-            "95th percentile %",
-            "median width",
-            "truth inside",
-            "noise alone, 1 sigma",
-        ]
-        .map(String::from)
-        .to_vec(),
-        rows,
-        note: format!(
-            "All pairs are zeta / FSJ. Detected: one noise seed, recorded to Parquet and diagnosed from the file. Median, percentile, width and \
-             share inside: {seeds} noise seeds each. The paper's cases are noise free; its error 0 is to the grid's resolution."
-        ),
+/// The cases of Table I and the healthy actuator, noise free.
+fn bare_runs(grid: &Grid) -> Result<Vec<Collector>> {
+    let channels = ChannelSet::basic();
+    let bare = grid.setup.experiment(channels)?.bare(channels.with(Channel::TorqueM));
+    let faults = TABLE_I.map(|(zeta, fsj, ..)| FaultState { fsj, zeta });
+    let run = |(i, fault): (usize, FaultState)| Run {
+        number: i as u64,
+        lane: Lane {
+            actuator: grid.setup.actuator.clone(),
+            fault,
+            rest_angle_rad: 0.0,
+            load_n_m: 0.0,
+        },
+        seed: i as u64,
     };
-    let nominal = &collected[4];
-    let sm = MonitorTrack::run(&actuator, &sequence, experiment.rate_hz);
-    let map_figures: Vec<(String, Figure)> = set
-        .maps
-        .iter()
-        .map(|m| {
-            (
-                format!("map_{}", m.feature.name()),
-                Figure::Map(report_pages::map_plot(m, None)),
-            )
-        })
+    let lanes: Vec<Run> = faults
+        .into_iter()
+        .chain([FaultState::NOMINAL])
+        .enumerate()
+        .map(run)
         .collect();
-    let mut trace_figures = report_pages::model_comparison(nominal, &sm, experiment.rate_hz);
-    for (channel, label) in [(Channel::OmegaM, "speed"), (Channel::IEq, "current")] {
-        let runs: Vec<(&str, &Collector)> = vec![("healthy", nominal), ("zeta 0.15, FSJ 3.5", &collected[2])];
-        let plot = report_pages::traces(
-            &format!("Healthy and faulty: {}", channel.meaning()),
-            label,
-            &runs,
-            experiment.rate_hz,
-            channel,
-        );
-        trace_figures.push((format!("faults_{label}"), Figure::Trace(plot)));
-    }
-    let mut all = vec![
-        Section {
-            title: "Four diagnoses".into(),
-            text: String::new(),
-            tables: vec![table],
-            figures: Vec::new(),
-        },
-        Section {
-            title: "Failure maps".into(),
-            text:
-                "Each curve is one eccentricity zeta; dots are simulated runs, averaged over sensor noise. The ripple \
-                   falls slightly with FSJ, the others rise with both faults."
-                    .into(),
-            tables: Vec::new(),
-            figures: map_figures,
-        },
-    ];
-    all.extend(sections);
-    all.push(Section {
-        title: "Models".into(),
-        text: "The numerical test bench (NTB) beside the simplified model (SM) in nominal condition, and beside a faulty run.".into(),
-        tables: Vec::new(),
-        figures: trace_figures,
-    });
-    let assumed = format!(
-        "all {} values of the reference actuator and those of the sensors",
-        actuator.assumed.len()
-    );
-    let report = Report {
-        title: "Failure maps of an electromechanical actuator".into(),
-        summary: format!(
-            "{runs} runs of the 3 s pre-flight test ({} x {} faults) became {} failure maps; the paper's four cases were \
-             diagnosed from recordings with sensor noise.",
-            grid.fsj.len(),
-            grid.zeta.len(),
-            set.maps.len()
-        ),
-        facts: vec![
-            (
-                "Method".into(),
-                "Aimasso, Baldo, Dalla Vedova, Maggiore, Int. J. Mechanics and Control 23(1), 2022".into(),
-            ),
-            (
-                "Actuator".into(),
-                format!("{} ({})", actuator.name, actuator.fingerprint()),
-            ),
-            ("Assumed, not sourced".into(), assumed),
-            (
-                "Sequence and rate".into(),
-                format!("{}, {} Hz", sequence.name, experiment.rate_hz),
-            ),
-            (
-                "Sensors".into(),
-                format!(
-                    "{} (assumed): 16 bit resolver, 12 bit currents, white noise",
-                    sensors.name
-                ),
-            ),
-            ("Grid".into(), format!("{runs} runs, {steps} steps now, {grid_s:.1} s")),
-            (
-                "Bands".into(),
-                format!(
-                    "{:.0} % coverage, calibrated on {} simulated tests; uncertainties from sensor noise, interpolation, one \
-                     sample, projection onto a monotone surface",
-                    100.0 * choice.coverage,
-                    Effort::QUICK.runs
-                ),
-            ),
-            (
-                "Program".into(),
-                format!("ema {}, revision {COMMIT}", env!("CARGO_PKG_VERSION")),
-            ),
-        ],
-        sections: all,
-    };
-    report::write(&report, out, "report.html")?;
-    crate::cli::say(&format!(
-        "zeta FSJ of the paper's Table I, {seeds} noise seeds each\n{}",
-        text_table.join("\n")
-    ));
-    crate::cli::say(&format!(
-        "\n{runs} runs, maps, diagnoses and report in {:.1} s: {}",
-        begin.elapsed().as_secs_f64(),
-        out.join("report.html").display()
-    ));
-    Ok(())
+    let mut collected = vec![Collector::default(); lanes.len()];
+    simulate(&bare, &lanes, &mut collected, || !crate::progress::interrupted())?.ok_or(crate::Interrupted)?;
+    Ok(collected)
 }
 
 /// Writes a simulated run through the sensors as a recording.
-fn record(path: &Path, setup: &TestSetup, run: &Collector, seed: u64) -> Result<()> {
-    let sensors = setup.sensors.as_ref().expect("the demo has sensors");
+fn record(path: &Path, grid: &Grid, run: &Collector, seed: u64) -> Result<()> {
+    let sensors = grid.sensors();
     let noise = SensorNoise::new(seed, run.rows());
     let s = Sensors {
         model: sensors,
         noise: &noise,
-        gear_ratio: setup.actuator.gear_ratio,
+        gear_ratio: grid.setup.actuator.gear_ratio,
         rest_angle_rad: 0.0,
     };
     let channels = ChannelSet::basic();
     let mut out = TelemetryBuffer::new(channels, run.rows());
     s.measure(&run.view(), &mut out);
-    let mut recorder = Recorder::create(path, &setup.provenance(seed, COMMIT), channels, true)?;
+    let mut recorder = Recorder::create(path, &grid.setup.provenance(seed, COMMIT), channels, true)?;
     let header = run.header.clone().expect("a run that was collected");
-    let header = schemas::telemetry::TelemetryHeader {
+    let header = TelemetryHeader {
         channels,
         sensors: sensors.fingerprint(),
         ..header
@@ -416,29 +302,4 @@ fn record(path: &Path, setup: &TestSetup, run: &Collector, seed: u64) -> Result<
     recorder.accept(&header, &out.view())?;
     recorder.finish()?;
     Ok(())
-}
-
-fn case_section(title: &str, stem: &str, c: &case::Case, truth: Option<FaultState>) -> Section {
-    let d = &c.diagnosis;
-    let figures = report_pages::case_figures(stem, &c.diagnoser, d, truth);
-    let text = match d.outcome.area() {
-        Some(a) => format!(
-            "{}: FSJ {:.4} in {:.4} to {:.4}, zeta {:.5} in {:.5} to {:.5}. {}",
-            d.outcome.name().replace('_', " "),
-            a.centroid.0,
-            a.fsj.lo,
-            a.fsj.hi,
-            a.centroid.1,
-            a.zeta.lo,
-            a.zeta.hi,
-            d.outcome.reason()
-        ),
-        None => format!("{}: {}", d.outcome.name().replace('_', " "), d.outcome.reason()),
-    };
-    Section {
-        title: title.into(),
-        text,
-        tables: Vec::new(),
-        figures,
-    }
 }

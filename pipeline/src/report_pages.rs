@@ -1,5 +1,7 @@
 //! What the report shows: maps with cuts, located areas, traces, tables.
 
+pub mod demo;
+
 use crate::report::{Band, Curve, Figure, MapPlot, RegionPlot, Strip, TracePlot};
 use diagnoser::curves::common;
 use diagnoser::diagnosis::{Area, Diagnoser, Diagnosis};

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod dataset;
+mod demo;
 mod diagnose;
 mod discrepancy;
 mod maps;
@@ -80,7 +81,7 @@ enum Commands {
     Bench(BenchArgs),
     /// Grid, maps, the paper's four cases and a report, in one go
     #[command(after_help = "Example: ema demo --out demo run.csv    (then open demo/report.html)")]
-    Demo(DemoArgs),
+    Demo(demo::DemoArgs),
     /// Find where simulation and measurement disagree, name the missing effect, add it to the model
     #[command(
         after_help = "Example: ema discrepancy --model datasets/parameters/reference.toml --bench BENCH.toml --out study\n\
@@ -111,21 +112,6 @@ struct BenchArgs {
     /// Keys for programs
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Args)]
-struct DemoArgs {
-    /// Folder of the report and its data
-    #[arg(long, default_value = "ema-demo")]
-    out: PathBuf,
-    /// Grid by name or TOML file
-    #[arg(long, default_value = "fine")]
-    grid: String,
-    /// Noise seeds of each case
-    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=100_000))]
-    seeds: u64,
-    /// A recording to diagnose along with the paper's cases
-    file: Option<PathBuf>,
 }
 
 /// Which actuator.
@@ -180,7 +166,7 @@ pub fn main() -> ExitCode {
         Commands::Bridge(a) => stream::bridge(&a),
         Commands::Plot(a) => plot::plot(&a),
         Commands::Bench(a) => bench(&a),
-        Commands::Demo(a) => crate::demo::demo(&a.out, &a.grid, a.seeds, a.file.as_deref()).map(|()| ExitCode::SUCCESS),
+        Commands::Demo(a) => demo::demo(&a),
         Commands::Discrepancy(a) => discrepancy::discrepancy(&a),
         Commands::Plan(a) => dataset::plan(&a),
         Commands::Dataset(a) => dataset::dataset(&a),
