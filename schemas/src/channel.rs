@@ -75,3 +75,18 @@ impl ChannelSet {
         Channel::ALL.iter().copied().filter(move |&c| self.contains(c))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prop_the_python_example_has_the_same_channels() {
+        let text = include_str!("../examples/python/ema_stream.py");
+        let table = text.split("CHANNELS = (").nth(1).unwrap();
+        let table = table.split(")  # fmt").next().unwrap();
+        let words: Vec<&str> = table.split('"').skip(1).step_by(2).collect();
+        let ours: Vec<&str> = Channel::ALL.iter().flat_map(|c| [c.name(), c.unit()]).collect();
+        assert_eq!(words, ours);
+    }
+}

@@ -33,8 +33,7 @@ pub struct RunArgs {
     /// Static eccentricity zeta (0 = healthy)
     #[arg(long, default_value_t = 0.0)]
     zeta: f64,
-    /// preflight, ramp, sine, step, chirp, multisine, or a TOML file
-    #[arg(long, default_value = "preflight")]
+    #[arg(long, default_value = "preflight", help = sequences())]
     sequence: String,
     /// Telemetry rate [Hz]
     #[arg(long, default_value_t = 10_000.0)]
@@ -56,8 +55,7 @@ pub struct RunArgs {
     /// Seed of the sensor noise
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Additional channels: v_a,v_b,v_c,torque_m,i_q,i_supply,v_dc or all
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_delimiter = ',', help = additional_channels())]
     channels: Vec<String>,
     #[command(flatten)]
     actuator: ActuatorArg,
@@ -77,17 +75,33 @@ pub fn faults(fsj: f64, zeta: f64) -> Result<FaultState> {
     FaultState::new(fsj, zeta).map_err(|(place, x, allowed)| Error::bad("command line", place, x, allowed).into())
 }
 
+/// Channels that the test bench gives.
+fn simulated() -> impl Iterator<Item = Channel> {
+    Channel::ALL.iter().copied().filter(|c| *c != Channel::Temperature)
+}
+
+/// Help of `--channels`.
+pub fn additional_channels() -> String {
+    let names: Vec<&str> = simulated().filter(|c| !c.is_basic()).map(Channel::name).collect();
+    format!("Additional channels: {} or all", names.join(","))
+}
+
+/// Help of `--sequence`.
+pub fn sequences() -> String {
+    let names: Vec<&str> = sim_worker::catalogue::sequence_names().collect();
+    format!("{}, or a TOML file", names.join(", "))
+}
+
 /// The basic channels and what else is named.
 pub fn channel_set(names: &[String]) -> Result<ChannelSet> {
-    let simulated = |c: &Channel| *c != Channel::Temperature;
     let mut set = ChannelSet::basic();
     for n in names {
         if n == "all" {
-            set = ChannelSet::of(Channel::ALL.iter().copied().filter(simulated));
+            set = ChannelSet::of(simulated());
             continue;
         }
-        let c = Channel::from_name(n).filter(simulated).ok_or_else(|| {
-            let all: Vec<&str> = Channel::ALL.iter().filter(|c| simulated(c)).map(|c| c.name()).collect();
+        let c = simulated().find(|c| c.name() == n).ok_or_else(|| {
+            let all: Vec<&str> = simulated().map(Channel::name).collect();
             Error::bad("command line", "--channels", n, format!("all, {}", all.join(", ")))
         })?;
         set = set.with(c);

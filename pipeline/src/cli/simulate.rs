@@ -28,8 +28,7 @@ pub struct SimulateArgs {
     /// Dataset: a folder, or s3://BUCKET/PREFIX
     #[arg(long)]
     out: String,
-    /// preflight, ramp, sine, step, chirp, multisine, or a TOML file
-    #[arg(long, default_value = "preflight")]
+    #[arg(long, default_value = "preflight", help = super::run::sequences())]
     sequence: String,
     /// Telemetry rate [Hz]
     #[arg(long, default_value_t = 10_000.0)]
@@ -49,8 +48,7 @@ pub struct SimulateArgs {
     /// Constant load torque at the motor [N m]
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     load_n_m: f64,
-    /// Additional channels: v_a,v_b,v_c,torque_m,i_q,i_supply,v_dc or all
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_delimiter = ',', help = super::run::additional_channels())]
     channels: Vec<String>,
     /// Threads; all cores if left out
     #[arg(long)]

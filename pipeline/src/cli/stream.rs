@@ -211,8 +211,7 @@ pub struct BenchLiveArgs {
     /// Tests one after the other; 0: until Ctrl-C
     #[arg(long, default_value_t = 1)]
     tests: u64,
-    /// preflight, ramp, sine, step, chirp, multisine, or a TOML file
-    #[arg(long, default_value = "preflight")]
+    #[arg(long, default_value = "preflight", help = super::run::sequences())]
     sequence: String,
     /// Telemetry rate [Hz]
     #[arg(long, default_value_t = 10_000.0)]
