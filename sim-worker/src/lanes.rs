@@ -575,7 +575,7 @@ fn steps_on<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
 
 /// `com.len()` steps over all lanes with the terms `F`; `same`: all lanes hold the same actuator,
 /// so that its constants are read once.
-pub fn steps<const N: usize, const F: u32>(
+pub(crate) fn steps<const N: usize, const F: u32>(
     set: InstructionSet,
     same: bool,
     k: &Constants<N>,
@@ -594,7 +594,7 @@ pub fn steps<const N: usize, const F: u32>(
 }
 
 /// See [`resync_body`].
-pub fn resync<const N: usize>(set: InstructionSet, k: &Constants<N>, st: &mut State<N>) {
+pub(crate) fn resync<const N: usize>(set: InstructionSet, k: &Constants<N>, st: &mut State<N>) {
     match set {
         // SAFETY: as in `steps_on`.
         #[cfg(target_arch = "x86_64")]

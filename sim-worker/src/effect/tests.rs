@@ -2,7 +2,7 @@ use super::*;
 use crate::lanes::InstructionSet;
 use crate::monitor::MonitorModel;
 use crate::parameters::ActuatorParameters;
-use crate::test_bench::{Lane, NumericalTestBench};
+use crate::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::fault::FaultState;
 use std::f64::consts::TAU;
@@ -80,7 +80,10 @@ const TOLD: [Channel; 7] = [
 ];
 
 /// Bits of the samples of all lanes, every 100 steps.
-fn bits<const N: usize>(lanes: &[Lane], steps: usize, set: InstructionSet) -> Vec<Vec<u64>> {
+fn bits<const N: usize>(lanes: &[Lane], steps: usize, set: InstructionSet) -> Vec<Vec<u64>>
+where
+    Kernel: Built<N>,
+{
     let mut b = NumericalTestBench::<N>::with_instruction_set(lanes, all(), set);
     let mut out = vec![Vec::new(); lanes.len()];
     for com in sine(steps, 1e-6).chunks(100) {
