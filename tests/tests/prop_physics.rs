@@ -97,7 +97,7 @@ fn prop_lane_count_and_instruction_set_change_no_bit() {
                 bits::<1>(
                     std::slice::from_ref(l),
                     &s,
-                    InstructionSet::Baseline,
+                    InstructionSet::BASELINE,
                     ChannelSet::basic(),
                 )[0]
             })

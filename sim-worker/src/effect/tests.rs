@@ -265,7 +265,7 @@ fn prop_lane_count_and_instruction_set_change_no_bit_with_effects() {
     let same = with(&many);
     let alike: Vec<Lane> = (0..5).map(|i| lane(&same, 1.0 + i as f64)).collect();
     lanes.extend(alike);
-    let base = InstructionSet::Baseline;
+    let base = InstructionSet::BASELINE;
     let truth: Vec<Vec<u64>> = lanes
         .iter()
         .map(|l| bits::<1>(std::slice::from_ref(l), 4000, base).remove(0))
