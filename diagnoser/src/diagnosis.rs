@@ -159,6 +159,7 @@ impl Diagnoser {
             let allowed = "a share above 0 and below 1, for example 0.95";
             return Err(Error::bad("command line", "coverage", coverage, allowed));
         }
+        maps.check("maps")?;
         let surfaces = calibration.as_ref().and_then(|c| c.surfaces.as_ref());
         if let Some((cause, _)) = known.iter().find(|(c, _)| !surfaces.is_some_and(|s| s.knows(*c))) {
             let allowed = format!(
@@ -188,12 +189,14 @@ impl Diagnoser {
     }
 
     /// Uncalibrated, for 95 %.
+    ///
+    /// # Panics
+    /// A set that [`FailureMapSet::check`] refuses, which is neither made nor loaded.
     pub fn uncalibrated(maps: FailureMapSet) -> Self {
-        Self::new(maps, None, COVERAGE, &Vec::new()).expect("nothing that could be refused")
+        Self::new(maps, None, COVERAGE, &Vec::new()).expect("no more maps than can be inverted")
     }
 
-    /// Features that are inverted together. P1 is not among them where its parts are: mean speed loss and
-    /// ripple.
+    /// Features that are inverted together: [`FailureMapSet::joint`].
     pub fn joint_features(&self) -> &[Feature] {
         self.estimator.features()
     }
@@ -202,16 +205,16 @@ impl Diagnoser {
     pub fn uncertainty(&self, feature: Feature, fsj: f64, zeta: f64) -> Option<f64> {
         let map = self.maps.map(feature)?;
         let own = |f: Feature| self.estimator.uncertainty(f, fsj, zeta);
-        Some(match (own(feature), own(Feature::SpeedLoss), own(Feature::Ripple)) {
-            (Some(u), ..) => u,
-            // P1 is the length of (loss, ripple): it changes by no more than they do together
-            (None, Some(loss), Some(ripple)) if feature == Feature::P1 => loss.hypot(ripple),
-            _ => map.uncertainty(fsj, zeta),
-        })
+        let of_parts = || {
+            let [a, b] = feature.parts()?;
+            Some(own(a)?.hypot(own(b)?))
+        };
+        let joint = own(feature).or_else(of_parts);
+        Some(joint.unwrap_or_else(|| map.uncertainty(fsj, zeta)))
     }
 
     /// What the standard uncertainty of a feature is made of at a fault pair: its parts, in words and the
-    /// feature's unit. They add in squares, except that P1's causes add as those of mean speed and ripple.
+    /// feature's unit. They add in squares, except that causes of a length add as those of its parts.
     pub fn budget(&self, feature: Feature, fsj: f64, zeta: f64) -> Vec<(String, f64)> {
         let Some(map) = self.maps.map(feature) else {
             return Vec::new();
@@ -228,9 +231,9 @@ impl Diagnoser {
         if let Some((c, s)) = self.calibration.as_ref().and_then(|c| Some((c, c.surfaces.as_ref()?))) {
             for (cause, half) in c.spread().causes() {
                 let at = |f: Feature| half / 3f64.sqrt() * s.slope(&[f], cause, fsj, zeta)[0].abs();
-                let u = match feature {
-                    Feature::P1 => at(Feature::SpeedLoss).hypot(at(Feature::Ripple)),
-                    f => at(f),
+                let u = match feature.parts() {
+                    Some([a, b]) => at(a).hypot(at(b)),
+                    None => at(feature),
                 };
                 parts.push((cause.title().into(), u));
             }

@@ -97,14 +97,7 @@ pub struct Estimator {
 
 impl Estimator {
     pub fn new(set: &FailureMapSet, calibration: Option<&Calibration>, known: &Known) -> Self {
-        let has = |f: Feature| set.map(f).is_some();
-        let parts = has(Feature::SpeedLoss) && has(Feature::Ripple);
-        let maps: Vec<&FailureMap> = set
-            .maps
-            .iter()
-            .filter(|m| !(parts && m.feature == Feature::P1))
-            .take(MOST)
-            .collect();
+        let maps: Vec<&FailureMap> = set.joint().collect();
         let features: Vec<Feature> = maps.iter().map(|m| m.feature).collect();
         let first = maps[0];
         let ends = |x: &[f64]| (x[0], x[x.len() - 1]);
@@ -498,9 +491,9 @@ impl Estimator {
 /// Uncertainty that a witness has at least, whatever the sensors: below what files and sensors resolve. Recordings
 /// without sensor noise would otherwise be refused for the rounding of their digits (all values assumed).
 fn least_uncertainty(witness: Feature) -> f64 {
-    match witness {
+    match witness.unit() {
         // a count of a 16 bit resolver
-        Feature::SineTravel => 1e-4,
+        "rad" => 1e-4,
         // a milliampere; a thousandth of the current
         _ => 1e-3,
     }

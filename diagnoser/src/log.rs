@@ -220,7 +220,7 @@ mod tests {
     use crate::diagnosis::{Diagnosis, Outcome};
     use crate::live::Report;
     use schemas::channel::ChannelSet;
-    use schemas::feature::Features;
+    use schemas::feature::{Feature, Features};
     use schemas::stream::frame::RunDescription;
     use std::sync::Arc;
 
@@ -243,13 +243,7 @@ mod tests {
                 },
                 stream: u64::MAX - run,
                 is_final: true,
-                diagnosis: Diagnosis::without_maps(
-                    outcome,
-                    Features {
-                        p2_a: Some(0.5),
-                        ..Features::default()
-                    },
-                ),
+                diagnosis: Diagnosis::without_maps(outcome, Features::default().with(Feature::P2, Some(0.5))),
                 samples_received: 30_000,
                 samples_lost: 0,
                 telemetry_ns: 1,

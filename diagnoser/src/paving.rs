@@ -17,7 +17,7 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
-use crate::uncertainty::Row;
+use crate::uncertainty::{MOST, Row};
 use parts::Tally;
 use schemas::fault::Interval;
 use strip::{Bands, Cell, Strip};
@@ -48,6 +48,7 @@ fn lerp(span: Span, t: f64) -> f64 {
 }
 
 fn dot(a: &Row, b: &Row) -> f64 {
+    const { assert!(MOST == 8, "four pairs, and a bit of `live` for each") };
     let p: [f64; 4] = std::array::from_fn(|k| a[k] * b[k] + a[k + 4] * b[k + 4]);
     (p[0] + p[1]) + (p[2] + p[3])
 }
@@ -179,7 +180,7 @@ impl Paver {
         &mut self,
         lattice: &Lattice,
         joint: &Joint,
-        bands: &[(f64, f64); 8],
+        bands: &[(f64, f64); MOST],
         domain: &Limits,
         goal: &Goal,
     ) -> Option<Paving> {
@@ -230,12 +231,12 @@ impl Paver {
         let (low, high) = self.reach(joint, threshold, bands);
         // z is a difference of terms of this size; its rounding times twice z is that of Q.
         let scale: Row = std::array::from_fn(|k| {
-            (0..8).map(|i| (joint.w[k][i] * lattice.peak[i]).abs()).sum::<f64>() + joint.offset[k].abs()
+            (0..MOST).map(|i| (joint.w[k][i] * lattice.peak[i]).abs()).sum::<f64>() + joint.offset[k].abs()
         });
         let scale = 1e-14 * dot(&scale, &scale).sqrt();
         assert!(scale.is_finite(), "whitening and offset must be finite");
-        let columns: [Row; 8] = std::array::from_fn(|i| std::array::from_fn(|k| joint.w[k][i]));
-        let used: [bool; 8] = columns.map(|c| c.iter().any(|&x| x != 0.0));
+        let columns: [Row; MOST] = std::array::from_fn(|i| std::array::from_fn(|k| joint.w[k][i]));
+        let used: [bool; MOST] = columns.map(|c| c.iter().any(|&x| x != 0.0));
 
         self.blocks.clear();
         self.blocks.push([i0, i1, j0, j1]);
@@ -290,7 +291,7 @@ impl Paver {
         settled
     }
 
-    /// Features that S may have: the bands, narrowed to where the joint can hold at all.
+    /// Row that S may have: the bands, narrowed to where the joint can hold at all.
     fn reach(&mut self, joint: &Joint, threshold: f64, bands: &Bands) -> (Row, Row) {
         if self.inverse.as_ref().is_none_or(|known| known.w != joint.w) {
             self.inverse = Some(Inverse::new(&joint.w));
@@ -453,7 +454,7 @@ fn settle(strip: &Strip, index: u32, open: &mut Vec<u32>, settled: &mut Tally) {
 fn misses(corners: [&Row; 4], low: &Row, high: &Row) -> bool {
     let [a, b, c, d] = corners;
     let mut miss = false;
-    for k in 0..8 {
+    for k in 0..MOST {
         let (least, most) = join(join((a[k], a[k]), (b[k], b[k])), join((c[k], c[k]), (d[k], d[k])));
         miss |= (most < low[k]) | (least > high[k]);
     }

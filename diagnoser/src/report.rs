@@ -6,7 +6,7 @@ use crate::paving::Part;
 use arrow::array::{ArrayRef, BooleanArray, Float64Array, Int64Array, RecordBatch, StringArray, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
 use schemas::fault::Interval;
-use schemas::feature::{Feature, Features};
+use schemas::feature::Feature;
 use schemas::stream::diagnosis::DiagnosisMessage;
 use schemas::stream::wire::{to_number, to_text};
 use serde_json::{Value, json};
@@ -16,7 +16,7 @@ use std::sync::Arc;
 pub fn to_json(d: &Diagnosis) -> Value {
     let interval = |lo: Option<f64>, hi: Option<f64>, e: Option<f64>| json!({"lo": lo, "hi": hi, "estimate": e});
     let area = d.outcome.area();
-    let f = &d.features;
+    let features = Feature::TABLE.map(|f| (f.key().to_string(), json!(d.features.get(f))));
     json!({
         "outcome": d.outcome.name(),
         "fsj": interval(area.map(|a| a.fsj.lo), area.map(|a| a.fsj.hi), area.map(|a| a.centroid.0)),
@@ -28,7 +28,7 @@ pub fn to_json(d: &Diagnosis) -> Value {
         "misfit": d.misfit.map(|(q, gate)| json!({"found": q.sqrt(), "allowed": gate.sqrt()})),
         "coverage": d.coverage,
         "calibrated": d.calibrated,
-        "features": features(f),
+        "features": serde_json::Map::from_iter(features),
         "contradicting": contradicting(&d.outcome).iter().map(|f| f.name()).collect::<Vec<_>>(),
         "reason": d.outcome.reason(),
     })
@@ -43,13 +43,6 @@ fn part(p: &Part) -> Value {
         "area_inner": p.inner,
         "area_outer": p.outer,
     })
-}
-
-/// Features by key; P3 also in rad.
-fn features(f: &Features) -> Value {
-    let named = Feature::every().map(|x| (x.key().to_string(), json!(f.get(x))));
-    let p3_rad = ("p3_rad".to_string(), json!(f.p3_rad));
-    named.chain([p3_rad]).collect::<serde_json::Map<_, _>>().into()
 }
 
 fn contradicting(outcome: &Outcome) -> &[Feature] {
@@ -124,7 +117,6 @@ pub fn to_message(r: &Report) -> DiagnosisMessage {
     let d = &r.diagnosis;
     let known = |x: Option<f64>| x.unwrap_or(f64::NAN);
     let of = |f: fn(&Area) -> f64| known(d.outcome.area().map(f));
-    let f = &d.features;
     let outcome = match d.outcome {
         Outcome::Located(_) => 1,
         Outcome::Unexplained { .. } => 2,
@@ -150,11 +142,7 @@ pub fn to_message(r: &Report) -> DiagnosisMessage {
         zeta_estimate: of(|a| a.centroid.1),
         area: of(|a| a.size),
         coverage: d.coverage,
-        p1_rad_per_s: known(f.p1_rad_per_s),
-        p2_a: known(f.p2_a),
-        p3: known(f.p3),
-        p3_rad: known(f.p3_rad),
-        ripple_rad_per_s: known(f.ripple_rad_per_s),
+        features: Feature::TABLE.map(|f| known(d.features.get(f))),
         samples_received: r.samples_received,
         samples_lost: r.samples_lost,
         telemetry_ns: r.telemetry_ns,
@@ -227,12 +215,10 @@ pub fn to_batch(rows: &[Logged]) -> RecordBatch {
         false,
         number(&|r| Some(r.report.diagnosis.coverage)),
     );
-    for f in Feature::every() {
+    for f in Feature::TABLE {
         let column = number(&|r| r.report.diagnosis.features.get(f));
         add(f.key(), DataType::Float64, true, column);
     }
-    let p3_rad = number(&|r| r.report.diagnosis.features.p3_rad);
-    add("p3_rad", DataType::Float64, true, p3_rad);
     let names = |r: &Logged| {
         let list: Vec<&str> = contradicting(&r.report.diagnosis.outcome)
             .iter()

@@ -2,16 +2,13 @@
 
 use crate::failure_map::FailureMapSet;
 use nalgebra::{Matrix2, Vector2};
-use schemas::feature::Feature;
 
 /// Standard deviations of (FSJ, zeta) at a fault pair when every map is weighted with its sensor
 /// noise: the square roots of the diagonal of `(J^T W J)^-1`, J the slopes of the maps. `None`
 /// where the maps cannot tell the two faults apart or carry no noise.
 pub fn noise_sigma(set: &FailureMapSet, fsj: f64, zeta: f64) -> Option<(f64, f64)> {
     let mut information = Matrix2::zeros();
-    // P1 is made of mean speed loss and ripple: it says nothing that they do not
-    let apart = set.map(Feature::SpeedLoss).is_some();
-    for m in set.maps.iter().filter(|m| !(apart && m.feature == Feature::P1)) {
+    for m in set.joint() {
         let (nf, nz) = (m.fsj.len(), m.zeta.len());
         let df = 1e-3 * (m.fsj[nf - 1] - m.fsj[0]);
         let dz = 1e-3 * (m.zeta[nz - 1] - m.zeta[0]);

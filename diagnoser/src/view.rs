@@ -9,6 +9,7 @@ use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::Line;
 use ratatui::widgets::{Block, Cell, Paragraph, Row, Table};
 use schemas::error::{Error, Result};
+use schemas::feature::{Feature, Raw};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -239,10 +240,10 @@ fn draw(frame: &mut ratatui::Frame<'_>, p: &Picture) {
             let f = &s.features;
             // before there are maps only what needs no nominal run is known
             let features = [
-                number(f.p1_rad_per_s, 5),
-                number(f.p2_a.or(s.raw.p2_a), 4),
-                number(f.p3, 3),
-                number(f.ripple_rad_per_s.or(s.raw.ripple_rad_per_s), 6),
+                number(f.get(Feature::P1), 5),
+                number(f.get(Feature::P2).or(s.raw[Raw::P2]), 4),
+                number(f.get(Feature::P3), 3),
+                number(f.get(Feature::Ripple).or(s.raw[Raw::Ripple]), 6),
             ];
             cells.splice(5..5, features.map(Cell::from));
         }
@@ -287,10 +288,7 @@ mod tests {
             samples: 30_000,
             lost: 100,
             raw: RawFeatures::default(),
-            features: Features {
-                p1_rad_per_s: Some(0.05307),
-                ..Features::default()
-            },
+            features: Features::default().with(Feature::P1, Some(0.05307)),
             outcome: Some(Outcome::Located(area)),
             is_final: true,
         };

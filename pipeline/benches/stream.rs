@@ -8,6 +8,7 @@ use diagnoser::receive::{Options, Show, receive};
 use pipeline::maps::{self, MapRequest};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::fault::FaultState;
+use schemas::feature::Raw;
 use schemas::stream::diagnosis::DiagnosisSubscriber;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription, SAMPLES};
 use schemas::stream::publisher::{Delivery, Pass, Publisher};
@@ -16,6 +17,7 @@ use schemas::stream::{Domain, now_ns};
 use schemas::telemetry::{Collector, TelemetryView};
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::setup::TestSetup;
 use sim_worker::simulate::{Experiment, LANES, Run, simulate};
 use sim_worker::test_bench::Lane;
 use std::io::{Read, Write};
@@ -243,15 +245,13 @@ fn recordings(n: usize) -> Vec<Collector> {
 
 /// Makes the maps of the recordings, so that the diagnoser finds them.
 fn make_maps() {
-    let request = MapRequest {
-        actuator: Arc::new(ActuatorParameters::reference()),
-        sequence: sim_worker::catalogue::sequence("preflight").unwrap(),
-        rate_hz: RATE_HZ,
+    let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
+    let setup = TestSetup {
         sensors: sim_worker::catalogue::sensors("reference").unwrap(),
-        rest_angle_rad: 0.0,
-        equivalent_current: false,
-        grid: sim_worker::catalogue::grid("fine").unwrap(),
+        ..TestSetup::new(Arc::new(ActuatorParameters::reference()), sequence, RATE_HZ)
     };
+    let grid = sim_worker::catalogue::grid("fine").unwrap();
+    let request = MapRequest { setup, grid };
     maps::cached(&request, &Choice::usual(), &Vec::new()).unwrap();
 }
 
@@ -446,7 +446,7 @@ fn extractor() {
             k += 100;
         }
         let f = x.features();
-        f.mean_speed_rad_per_s.unwrap_or(0.0) + f.p2_a.unwrap_or(0.0)
+        f[Raw::MeanSpeed].unwrap_or(0.0) + f[Raw::P2].unwrap_or(0.0)
     };
     let mut own = vec![0.0; 30_000 * CHANNELS];
     let copy = rate(30_000, || {

@@ -12,46 +12,6 @@ use std::time::Duration;
 /// How long the end of a test waits for answers before the frames are given up.
 const FAREWELL: Duration = Duration::from_secs(2);
 
-/// Simulated side by side: all lanes, or one.
-enum Group<'a> {
-    Many(Box<Simulation<'a, LANES>>, usize),
-    One(Box<Simulation<'a, 1>>),
-}
-
-impl<'a> Group<'a> {
-    fn new(experiment: &'a Experiment, runs: &[Run]) -> Self {
-        if runs.len() == 1 {
-            Self::One(Box::new(Simulation::new(experiment, runs)))
-        } else {
-            Self::Many(Box::new(Simulation::new(experiment, runs)), runs.len())
-        }
-    }
-    fn lanes(&self) -> usize {
-        match self {
-            Self::Many(_, n) => *n,
-            Self::One(_) => 1,
-        }
-    }
-    fn advance(&mut self, rows: usize) -> usize {
-        match self {
-            Self::Many(s, _) => s.advance(rows),
-            Self::One(s) => s.advance(rows),
-        }
-    }
-    fn first(&self) -> u64 {
-        match self {
-            Self::Many(s, _) => s.first(),
-            Self::One(s) => s.first(),
-        }
-    }
-    fn write(&self, lane: usize, out: &mut schemas::telemetry::TelemetryViewMut<'_>) {
-        match self {
-            Self::Many(s, _) => s.write(lane, out),
-            Self::One(s) => s.write(lane, out),
-        }
-    }
-}
-
 /// What became of one test of all actuators.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
@@ -79,7 +39,7 @@ pub fn test(
     rows: usize,
     go_on: &(dyn Fn() -> bool + Sync),
 ) -> Result<Option<Outcome>> {
-    let mut groups: Vec<Group<'_>> = runs.chunks(LANES).map(|r| Group::new(experiment, r)).collect();
+    let mut groups: Vec<Simulation<'_>> = runs.chunks(LANES).map(|r| Simulation::new(experiment, r)).collect();
     let mut passes: Vec<Pass> = Vec::new();
     for (run, name) in runs.iter().zip(names) {
         let about = RunDescription {
@@ -117,7 +77,7 @@ pub fn test(
         }
         let mut actuator = 0;
         for g in &groups {
-            for lane in 0..g.lanes() {
+            for lane in 0..g.runs() {
                 let pass = &mut passes[actuator];
                 let mut frame = publisher.loan(pass, g.first(), n)?;
                 g.write(lane, &mut frame.view_mut());

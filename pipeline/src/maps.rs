@@ -9,7 +9,7 @@ use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
 use diagnoser::map_library::Choice;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
-use schemas::feature::{Feature, Features, RawFeatures};
+use schemas::feature::{Feature, Raw, RawFeatures};
 use schemas::fingerprint::fingerprint;
 use schemas::sequence::{Command, TestSequence};
 use sim_worker::cache::cache_dir;
@@ -158,38 +158,17 @@ pub fn of_grid(
     let (mut maps, mut witnesses) = (Vec::new(), Vec::new());
     let mut left_out = Vec::new();
     for feature in Feature::every() {
-        let value = |i: usize| Features::over(&measured[i], &nominal).get(feature);
+        let value = |i: usize| feature.value(&measured[i], &nominal);
         let raw: Vec<Option<f64>> = (0..rows).map(value).collect();
         if raw.iter().all(Option::is_none) {
             continue;
         }
         let raw: Vec<f64> = raw.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect();
-        let sd = |i: usize| -> f64 {
-            let (m, s) = (&measured[i], &deviations[i]);
-            let known = |x: Option<f64>| x.unwrap_or(0.0);
-            match feature {
-                Feature::P1 => {
-                    let d = known(m.mean_speed_rad_per_s) - known(nominal.mean_speed_rad_per_s);
-                    let ripple = known(m.ripple_rad_per_s) * known(s.ripple_rad_per_s);
-                    ripple.hypot(d * known(s.mean_speed_rad_per_s)) / raw[i].abs().max(1e-12)
-                }
-                Feature::P2 => known(s.p2_a),
-                Feature::P3 => known(s.p3_rad) / nominal.p3_rad.unwrap_or(1.0),
-                Feature::Ripple => known(s.ripple_rad_per_s),
-                Feature::SpeedLoss => known(s.mean_speed_rad_per_s),
-                Feature::Rise => known(s.rise_s),
-                Feature::CurrentRms => known(s.current_rms_a),
-                Feature::SineTravel => known(s.sine_travel_rad),
-                Feature::CurrentSum => known(s.current_sum_a),
-                Feature::CurrentImbalance => known(s.current_imbalance),
-                Feature::EvenCurrent => known(s.even_current_a),
-                Feature::BiasCurrent => known(s.bias_current_a),
-            }
-        };
+        let sd = |i: usize| feature.deviation(&measured[i], &deviations[i], &nominal);
         let mut noise: Vec<f64> = (0..rows).map(sd).collect();
         noise.sort_by(f64::total_cmp);
         let noise = noise[(noise.len() - 1) * 19 / 20];
-        let sample = match (feature, slope, nominal.p3_rad) {
+        let sample = match (feature, slope, nominal[Raw::P3]) {
             (Feature::P3, Some(a), Some(p0)) => a / header.kind.rate_hz / p0,
             _ => 0.0,
         };
@@ -217,10 +196,12 @@ pub fn of_grid(
         .into());
     }
     header.left_out = left_out;
-    Ok(FailureMapSet {
+    let set = FailureMapSet {
         header,
         nominal,
         maps,
         witnesses,
-    })
+    };
+    set.check(file)?;
+    Ok(set)
 }

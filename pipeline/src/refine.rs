@@ -24,22 +24,17 @@ use rand_chacha::ChaCha8Rng;
 use response::{PHYSICAL, Point, Posterior, RANGE, Region, Surrogate};
 use schemas::error::Error;
 use schemas::fault::{FaultState, Interval};
-use schemas::feature::{Feature, Features, RawFeatures};
+use schemas::feature::{Feature, Features, Raw, RawFeatures};
 use schemas::sequence::Command;
 use sim_worker::setup::TestSetup;
 use sim_worker::spread::{Cause, Spread};
 use sim_worker::test_bench::Lane;
 use std::sync::Arc;
 
-/// Features that are fitted. P1 is left out: mean speed loss and ripple make it up.
-const FITTED: [Feature; 6] = [
-    Feature::P2,
-    Feature::P3,
-    Feature::Ripple,
-    Feature::SpeedLoss,
-    Feature::Rise,
-    Feature::CurrentRms,
-];
+/// Features that are fitted: what others make up is left out.
+fn fitted() -> impl Iterator<Item = Feature> {
+    Feature::ALL.into_iter().filter(|f| f.parts().is_none())
+}
 
 /// Smallest first radii, FSJ as a share of itself: an area that is wrong must not hold the search.
 const FIRST: (f64, f64) = (0.05, 0.02);
@@ -237,9 +232,9 @@ struct Problem<'a> {
 
 impl<'a> Problem<'a> {
     fn new(test: &'a Test<'a>) -> Result<Self> {
-        let nominal_p3 = test.nominal.p3_rad;
+        let nominal_p3 = test.nominal[Raw::P3];
         let value = |f: Feature| test.features.get(f).filter(|x| x.is_finite());
-        let here: Vec<(Feature, f64)> = FITTED.into_iter().filter_map(|f| Some((f, value(f)?))).collect();
+        let here: Vec<(Feature, f64)> = fitted().filter_map(|f| Some((f, value(f)?))).collect();
         if here.len() < 2 {
             let names: Vec<&str> = here.iter().map(|(f, _)| f.name()).collect();
             let found = if names.is_empty() {
@@ -247,7 +242,8 @@ impl<'a> Problem<'a> {
             } else {
                 names.join(", ")
             };
-            let allowed = format!("at least two of {}", FITTED.map(Feature::name).join(", "));
+            let all: Vec<&str> = fitted().map(Feature::name).collect();
+            let allowed = format!("at least two of {}", all.join(", "));
             return Err(Error::bad("recording", "features", found, allowed).into());
         }
         let mut units = test.spread.clone();
@@ -461,7 +457,10 @@ mod tests {
         // sensors and chatter allow about 0.1 % of FSJ and 0.0002 of zeta
         assert!(r.sigma.0 < 0.005 && r.sigma.1 < 0.001, "{r:?}");
         // chi-square of 4 degrees of freedom: one in a million
-        assert!(r.misfit < 35.0 && r.features == FITTED && r.causes.is_empty(), "{r:?}");
+        assert!(
+            r.misfit < 35.0 && fitted().eq(r.features.iter().copied()) && r.causes.is_empty(),
+            "{r:?}"
+        );
         // the seed decides everything
         assert_eq!(refine(&test, Some(start), 0.95, 1).unwrap().unwrap(), r);
     }
@@ -510,9 +509,7 @@ mod tests {
             "{known:?}"
         );
         assert_eq!((unknown.causes.len(), known.causes.len()), (5, 1));
-        let mut fewer = features;
-        fewer.p3 = None;
-        fewer.rise_s = Some(f64::NAN);
+        let fewer = features.with(Feature::P3, None).with(Feature::Rise, Some(f64::NAN));
         let fewer = run(&fewer, &Vec::new());
         assert_eq!(fewer.features.len(), 4);
         assert!(fewer.sigma.0 > unknown.sigma.0, "{fewer:?}");
@@ -522,15 +519,8 @@ mod tests {
     fn prop_fewer_than_two_features_or_no_coverage_are_refused() {
         let (setup, spread, known) = (setup(), Spread::none(), Vec::new());
         let (nominal, features) = (RawFeatures::default(), Features::default());
-        let one = Features {
-            p2_a: Some(0.5),
-            p1_rad_per_s: Some(0.1),
-            ..features
-        };
-        let both = Features {
-            ripple_rad_per_s: Some(0.003),
-            ..one
-        };
+        let one = features.with(Feature::P2, Some(0.5)).with(Feature::P1, Some(0.1));
+        let both = one.with(Feature::Ripple, Some(0.003));
         for (features, coverage, place) in [(one, 0.95, "features"), (both, 1.0, "coverage")] {
             let test = Test {
                 setup: &setup,

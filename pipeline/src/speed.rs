@@ -8,7 +8,7 @@ use sim_worker::lanes::InstructionSet;
 use sim_worker::monitor::MonitorTrack;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::simulate::LANES;
-use sim_worker::test_bench::{Lane, NumericalTestBench};
+use sim_worker::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -25,7 +25,10 @@ pub struct Speed {
 
 /// Nanoseconds per step and run of `N` lanes through `sequence`, the fault pairs spread over the
 /// grid; best of `repeat`.
-pub fn engine<const N: usize>(sequence: &TestSequence, set: InstructionSet, repeat: usize) -> f64 {
+pub fn engine<const N: usize>(sequence: &TestSequence, set: InstructionSet, repeat: usize) -> f64
+where
+    Kernel: Built<N>,
+{
     let actuator = Arc::new(ActuatorParameters::reference());
     let lanes: Vec<Lane> = (0..N)
         .map(|l| Lane {

@@ -6,7 +6,7 @@ use crate::parameters::ActuatorParameters;
 use crate::witness::{SineShape, SineWitness, imbalance};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
-use schemas::feature::RawFeatures;
+use schemas::feature::{Raw, RawFeatures};
 use schemas::sequence::{Command, TestSequence};
 use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
 use std::sync::Arc;
@@ -331,10 +331,10 @@ impl FeatureExtractor {
         self.progress().iter().flatten().all(|p| p.seen >= p.wanted)
     }
 
-    /// Number of features measured so far.
+    /// Number of raw features measured so far: it grows where a window ends, at break-away and at the end of the
+    /// rise, since each of these lets the maps say more.
     pub fn count(&self) -> usize {
-        let f = self.features();
-        [f.mean_speed_rad_per_s, f.p2_a, f.p3_rad].iter().flatten().count()
+        self.features().values().iter().flatten().count()
     }
 
     /// Samples seen and wanted for each window: step, sine, ramp.
@@ -356,22 +356,24 @@ impl FeatureExtractor {
         let phases = whole(self.plan.regime, self.current_seen) && !self.plan.equivalent_current;
         let sine = whole(self.plan.sine, self.sine_seen);
         let even = self.witness.even_current_a().filter(|_| sine);
-        RawFeatures {
+        let value = |raw| match raw {
             // a step down runs with negative speed: the mean is counted in the step's direction
-            mean_speed_rad_per_s: regime.then(|| (self.shift + mean) * 1f64.copysign(self.plan.step_rad)),
-            ripple_rad_per_s: regime.then(|| (self.sum2 / n - mean * mean).max(0.0).sqrt()),
-            p2_a: whole(self.plan.sine, self.sine_seen).then(|| (self.sine_sum2 / self.sine_seen as f64).sqrt()),
-            p3_rad: self.breakaway_rad,
-            rise_s: self.rise_s,
-            current_rms_a: phases
-                .then(|| (self.current_sum2.iter().sum::<f64>() / (3.0 * self.current_seen as f64)).sqrt()),
-            sine_travel_rad: self.witness.travel_rad().filter(|_| sine),
-            current_sum_a: self.witness.current_sum_a().filter(|_| sine),
-            current_imbalance: imbalance(self.current_sum2).filter(|_| phases),
-            even_current_a: even.map(|e| e.1),
-            bias_current_a: even.map(|e| e.0),
-            rest_angle_rad: self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU)),
-        }
+            Raw::MeanSpeed => regime.then(|| (self.shift + mean) * 1f64.copysign(self.plan.step_rad)),
+            Raw::Ripple => regime.then(|| (self.sum2 / n - mean * mean).max(0.0).sqrt()),
+            Raw::P2 => sine.then(|| (self.sine_sum2 / self.sine_seen as f64).sqrt()),
+            Raw::P3 => self.breakaway_rad,
+            Raw::Rise => self.rise_s,
+            Raw::CurrentRms => {
+                phases.then(|| (self.current_sum2.iter().sum::<f64>() / (3.0 * self.current_seen as f64)).sqrt())
+            }
+            Raw::SineTravel => self.witness.travel_rad().filter(|_| sine),
+            Raw::CurrentSum => self.witness.current_sum_a().filter(|_| sine),
+            Raw::CurrentImbalance => imbalance(self.current_sum2).filter(|_| phases),
+            Raw::EvenCurrent => even.map(|e| e.1),
+            Raw::BiasCurrent => even.map(|e| e.0),
+        };
+        let rest = self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU));
+        RawFeatures::from_values(Raw::ALL.map(value), rest)
     }
 
     /// What is missing, in words; empty when every feature of the sequence is there.

@@ -5,11 +5,15 @@
 //! Lane count, grouping and instruction set never change a bit: every lane does the same
 //! IEEE operations in the same order, and nothing is contracted to fused multiply-adds.
 
+mod instruction_set;
+
 use crate::control::{commutation, hysteresis, pick, position, speed};
 use crate::effect::{EffectKind, LaneEffects};
 use crate::parameters::ActuatorParameters;
 use crate::plant::{back_emf, backlash, end_stop, friction, inverter, mechanics, torque, windings};
 use crate::trig;
+pub use instruction_set::InstructionSet;
+use instruction_set::Name;
 use schemas::fault::FaultState;
 
 /// Steps after which the rotation of the eccentricity vector is started anew from the angle.
@@ -443,55 +447,6 @@ fn resync_body<const N: usize>(k: &Constants<N>, st: &mut State<N>) {
     }
 }
 
-/// Instruction sets the kernel is built for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum InstructionSet {
-    Baseline,
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-}
-
-impl InstructionSet {
-    /// The widest that this processor has.
-    pub fn detect() -> Self {
-        *Self::available().last().expect("the baseline is always there")
-    }
-
-    /// All that this processor has, narrowest first.
-    pub fn available() -> Vec<Self> {
-        #[allow(unused_mut)]
-        let mut sets = vec![Self::Baseline];
-        #[cfg(target_arch = "x86_64")]
-        {
-            if is_x86_feature_detected!("avx2") {
-                sets.push(Self::Avx2);
-            }
-            if is_x86_feature_detected!("avx512f")
-                && is_x86_feature_detected!("avx512dq")
-                && is_x86_feature_detected!("avx512vl")
-                && is_x86_feature_detected!("avx512bw")
-            {
-                sets.push(Self::Avx512);
-            }
-        }
-        sets
-    }
-
-    /// Name as shown to the user.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Baseline if cfg!(target_arch = "aarch64") => "neon",
-            Self::Baseline => "baseline",
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => "avx2",
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => "avx512",
-        }
-    }
-}
-
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use super::*;
@@ -544,12 +499,12 @@ fn sines_body(amplitude: f64, x: &mut [f64]) {
 
 /// `x = amplitude sin x` for each element; the same bits on every instruction set.
 pub fn sines(set: InstructionSet, amplitude: f64, x: &mut [f64]) {
-    match set {
+    match set.which() {
         // SAFETY: as in `steps_on`.
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx512 => unsafe { x86::sines_avx512(amplitude, x) },
+        Name::Avx512 => unsafe { x86::sines_avx512(amplitude, x) },
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx2 => unsafe { x86::sines_avx2(amplitude, x) },
+        Name::Avx2 => unsafe { x86::sines_avx2(amplitude, x) },
         _ => sines_body(amplitude, x),
     }
 }
@@ -562,20 +517,19 @@ fn steps_on<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
     fx: &mut LaneEffects<N>,
     com: &[f64],
 ) {
-    match set {
-        InstructionSet::Baseline => steps_body::<N, F, SAME, ONE>(k, st, sum, fx, com),
-        // SAFETY: `InstructionSet::available` lists a set only where the processor has it, and
-        // `NumericalTestBench` takes no other.
+    match set.which() {
+        Name::Baseline => steps_body::<N, F, SAME, ONE>(k, st, sum, fx, com),
+        // SAFETY: an `InstructionSet` exists only where the processor has it.
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx2 => unsafe { x86::steps_avx2::<N, F, SAME, ONE>(k, st, sum, fx, com) },
+        Name::Avx2 => unsafe { x86::steps_avx2::<N, F, SAME, ONE>(k, st, sum, fx, com) },
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx512 => unsafe { x86::steps_avx512::<N, F, SAME, ONE>(k, st, sum, fx, com) },
+        Name::Avx512 => unsafe { x86::steps_avx512::<N, F, SAME, ONE>(k, st, sum, fx, com) },
     }
 }
 
 /// `com.len()` steps over all lanes with the terms `F`; `same`: all lanes hold the same actuator,
 /// so that its constants are read once.
-pub fn steps<const N: usize, const F: u32>(
+pub(crate) fn steps<const N: usize, const F: u32>(
     set: InstructionSet,
     same: bool,
     k: &Constants<N>,
@@ -594,11 +548,11 @@ pub fn steps<const N: usize, const F: u32>(
 }
 
 /// See [`resync_body`].
-pub fn resync<const N: usize>(set: InstructionSet, k: &Constants<N>, st: &mut State<N>) {
-    match set {
+pub(crate) fn resync<const N: usize>(set: InstructionSet, k: &Constants<N>, st: &mut State<N>) {
+    match set.which() {
         // SAFETY: as in `steps_on`.
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx512 => unsafe { x86::resync_avx512(k, st) },
+        Name::Avx512 => unsafe { x86::resync_avx512(k, st) },
         _ => resync_body(k, st),
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::command::CommandTrack;
 use crate::sensor::{SensorModel, SensorNoise, Sensors};
-use crate::test_bench::{Lane, NumericalTestBench};
+use crate::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::sequence::TestSequence;
@@ -104,59 +104,106 @@ pub fn simulate<S: TelemetrySink>(
     sinks: &mut [S],
     go_on: impl Fn() -> bool,
 ) -> Result<Option<u64>> {
-    assert!(runs.len() <= LANES && runs.len() == sinks.len());
-    // two single runs take less time than sixteen lanes of which two are used
-    if runs.len() <= 2 {
-        let mut steps = 0;
-        for (run, sink) in runs.iter().zip(sinks) {
-            let Some(n) = simulate_lanes::<1, S>(
-                experiment,
-                std::slice::from_ref(run),
-                std::slice::from_mut(sink),
-                &go_on,
-            )?
-            else {
-                return Ok(None);
-            };
-            steps += n;
-        }
-        return Ok(Some(steps));
-    }
-    // the last block of a plan is seldom full
-    if runs.len() <= LANES / 2 {
-        return simulate_lanes::<{ LANES / 2 }, S>(experiment, runs, sinks, &go_on);
-    }
-    simulate_lanes::<LANES, S>(experiment, runs, sinks, &go_on)
+    let mut sinks: Vec<&mut dyn TelemetrySink> = sinks.iter_mut().map(|s| s as _).collect();
+    simulate_into(experiment, runs, &mut sinks, &go_on)
 }
 
-/// As [`simulate`], with a given number of lanes.
-pub fn simulate_lanes<const N: usize, S: TelemetrySink>(
+/// [`simulate`], compiled once.
+fn simulate_into(
     experiment: &Experiment,
     runs: &[Run],
-    sinks: &mut [S],
-    go_on: &impl Fn() -> bool,
+    sinks: &mut [&mut dyn TelemetrySink],
+    go_on: &dyn Fn() -> bool,
 ) -> Result<Option<u64>> {
-    let headers: Vec<TelemetryHeader> = runs.iter().map(|r| experiment.header(r)).collect();
-    let mut simulation = Simulation::<N>::new(experiment, runs);
-    let mut buffer = TelemetryBuffer::new(experiment.channels, BLOCK_ROWS);
-    loop {
-        let rows = simulation.advance(BLOCK_ROWS);
-        if rows == 0 {
-            return Ok(Some(simulation.steps() * runs.len() as u64));
+    assert!(runs.len() <= LANES && runs.len() == sinks.len());
+    // two single runs take less time than more lanes of which two are used
+    let together = if runs.len() <= 2 { 1 } else { LANES };
+    let mut steps = 0;
+    for (runs, sinks) in runs.chunks(together).zip(sinks.chunks_mut(together)) {
+        let headers: Vec<TelemetryHeader> = runs.iter().map(|r| experiment.header(r)).collect();
+        let mut simulation = Simulation::new(experiment, runs);
+        let mut buffer = TelemetryBuffer::new(experiment.channels, BLOCK_ROWS);
+        loop {
+            let rows = simulation.advance(BLOCK_ROWS);
+            if rows == 0 {
+                break;
+            }
+            if !go_on() {
+                return Ok(None);
+            }
+            for l in 0..runs.len() {
+                simulation.write(l, &mut buffer.view_mut(simulation.first(), rows));
+                sinks[l].accept(&headers[l], &buffer.view())?;
+            }
         }
-        if !go_on() {
-            return Ok(None);
+        steps += simulation.steps() * runs.len() as u64;
+    }
+    Ok(Some(steps))
+}
+
+/// Up to [`LANES`] runs that are simulated block by block; whoever asks for a block says where its
+/// columns lie.
+pub struct Simulation<'a> {
+    runs: usize,
+    lanes: Box<dyn Blocks + Send + 'a>,
+}
+
+impl<'a> Simulation<'a> {
+    /// All runs at rest, on the fewest lanes that hold them.
+    ///
+    /// # Panics
+    /// If there are none, more than [`LANES`], or they have different steps.
+    pub fn new(experiment: &'a Experiment, runs: &[Run]) -> Self {
+        let lanes: Box<dyn Blocks + Send + 'a> = match runs.len() {
+            1 => Box::new(SideBySide::<1>::new(experiment, runs)),
+            // the last block of a plan is seldom full
+            n if n <= LANES / 2 => Box::new(SideBySide::<{ LANES / 2 }>::new(experiment, runs)),
+            n => {
+                assert!(n <= LANES, "{n} runs side by side");
+                Box::new(SideBySide::<LANES>::new(experiment, runs))
+            }
+        };
+        Self {
+            runs: runs.len(),
+            lanes,
         }
-        for l in 0..runs.len() {
-            simulation.write(l, &mut buffer.view_mut(simulation.first(), rows));
-            sinks[l].accept(&headers[l], &buffer.view())?;
-        }
+    }
+
+    pub fn runs(&self) -> usize {
+        self.runs
+    }
+
+    /// Simulates the next samples, at most `rows`; returns how many, 0 at the end of the sequence.
+    pub fn advance(&mut self, rows: usize) -> usize {
+        self.lanes.advance(rows)
+    }
+
+    /// Number of the first sample of the block that was simulated last.
+    pub fn first(&self) -> u64 {
+        self.lanes.first()
+    }
+
+    /// Steps done by each run.
+    pub fn steps(&self) -> u64 {
+        self.lanes.steps()
+    }
+
+    /// Writes the last block of run `run`, as its sensors see it, into `out`.
+    pub fn write(&self, run: usize, out: &mut TelemetryViewMut<'_>) {
+        self.lanes.write(run, out);
     }
 }
 
-/// Up to N runs that are simulated block by block; whoever asks for a block says where its columns
-/// lie.
-pub struct Simulation<'a, const N: usize> {
+/// [`SideBySide`] of any number of lanes; asked once a block, so that the choice costs nothing.
+trait Blocks {
+    fn advance(&mut self, rows: usize) -> usize;
+    fn first(&self) -> u64;
+    fn steps(&self) -> u64;
+    fn write(&self, lane: usize, out: &mut TelemetryViewMut<'_>);
+}
+
+/// A simulation on N lanes.
+struct SideBySide<'a, const N: usize> {
     experiment: &'a Experiment,
     lanes: Vec<Lane>,
     bench: NumericalTestBench<N>,
@@ -171,9 +218,11 @@ pub struct Simulation<'a, const N: usize> {
     row: u64,
 }
 
-impl<'a, const N: usize> Simulation<'a, N> {
-    /// All runs at rest.
-    pub fn new(experiment: &'a Experiment, runs: &[Run]) -> Self {
+impl<'a, const N: usize> SideBySide<'a, N>
+where
+    Kernel: Built<N>,
+{
+    fn new(experiment: &'a Experiment, runs: &[Run]) -> Self {
         let lanes: Vec<Lane> = runs.iter().map(|r| r.lane.clone()).collect();
         let dt = lanes[0].actuator.step_s;
         let rows = experiment.rows();
@@ -211,9 +260,13 @@ impl<'a, const N: usize> Simulation<'a, N> {
             });
         }
     }
+}
 
-    /// Simulates the next samples, at most `rows`; returns how many, 0 at the end of the sequence.
-    pub fn advance(&mut self, rows: usize) -> usize {
+impl<const N: usize> Blocks for SideBySide<'_, N>
+where
+    Kernel: Built<N>,
+{
+    fn advance(&mut self, rows: usize) -> usize {
         self.block.iter_mut().for_each(Vec::clear);
         let rows = (rows as u64).min(self.rows - self.row) as usize;
         let kept = self.experiment.commands.get().filter(|(step, _)| *step == self.dt);
@@ -243,18 +296,15 @@ impl<'a, const N: usize> Simulation<'a, N> {
         rows
     }
 
-    /// Number of the first sample of the block that was simulated last.
-    pub fn first(&self) -> u64 {
+    fn first(&self) -> u64 {
         self.row + 1 - self.block.first().map_or(0, Vec::len) as u64
     }
 
-    /// Steps done by each lane.
-    pub fn steps(&self) -> u64 {
+    fn steps(&self) -> u64 {
         self.bench.step()
     }
 
-    /// Writes the last block of run `lane`, as its sensors see it, into `out`.
-    pub fn write(&self, lane: usize, out: &mut TelemetryViewMut<'_>) {
+    fn write(&self, lane: usize, out: &mut TelemetryViewMut<'_>) {
         for (c, rows) in self.channels.iter().zip(&self.block) {
             if let Some(column) = out.column_mut(*c) {
                 for (o, r) in column.iter_mut().zip(rows) {

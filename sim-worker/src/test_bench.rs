@@ -3,6 +3,7 @@
 use crate::effect::LaneEffects;
 use crate::lanes::{self, Constants, InstructionSet, RESYNC_STEPS, State, Sums, Units, term};
 use crate::parameters::ActuatorParameters;
+use crate::simulate::LANES;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::fault::FaultState;
 use std::sync::Arc;
@@ -43,7 +44,35 @@ pub struct NumericalTestBench<const N: usize> {
     interval: u64,
 }
 
-impl<const N: usize> NumericalTestBench<N> {
+/// What is compiled once for each number of lanes, here rather than in every crate that uses it: the
+/// kernel is heavy.
+pub trait Built<const N: usize> {
+    fn at_rest(lanes: &[Lane], channels: ChannelSet, set: InstructionSet) -> NumericalTestBench<N>;
+    fn advance(bench: &mut NumericalTestBench<N>, com: &[f64]);
+}
+
+/// The kernel; the numbers of lanes that it is built for are those for which it is [`Built`].
+pub struct Kernel;
+
+macro_rules! built {
+    ($($n:expr),+) => {
+        $(impl Built<{ $n }> for Kernel {
+            fn at_rest(lanes: &[Lane], channels: ChannelSet, set: InstructionSet) -> NumericalTestBench<{ $n }> {
+                NumericalTestBench::prepare(lanes, channels, set)
+            }
+            fn advance(bench: &mut NumericalTestBench<{ $n }>, com: &[f64]) {
+                bench.steps(com);
+            }
+        })+
+    };
+}
+
+built!(1, LANES / 2, LANES);
+
+impl<const N: usize> NumericalTestBench<N>
+where
+    Kernel: Built<N>,
+{
     /// * `lanes` one to N; where there are fewer the last is repeated
     /// * `channels` additional channels make every step a little dearer
     ///
@@ -53,13 +82,19 @@ impl<const N: usize> NumericalTestBench<N> {
         Self::with_instruction_set(lanes, channels, InstructionSet::detect())
     }
 
-    /// As [`NumericalTestBench::new`] on a given instruction set of [`InstructionSet::available`].
+    /// As [`NumericalTestBench::new`] on a given instruction set.
     pub fn with_instruction_set(lanes: &[Lane], channels: ChannelSet, set: InstructionSet) -> Self {
-        assert!(
-            InstructionSet::available().contains(&set),
-            "{} is not available here",
-            set.name()
-        );
+        Kernel::at_rest(lanes, channels, set)
+    }
+
+    /// Steps all lanes through `com` [rad], one command a step.
+    pub fn advance(&mut self, com: &[f64]) {
+        Kernel::advance(self, com);
+    }
+}
+
+impl<const N: usize> NumericalTestBench<N> {
+    fn prepare(lanes: &[Lane], channels: ChannelSet, set: InstructionSet) -> Self {
         let dt = lanes[0].actuator.step_s;
         assert!(
             lanes.iter().all(|l| l.actuator.step_s == dt),
@@ -103,8 +138,7 @@ impl<const N: usize> NumericalTestBench<N> {
         }
     }
 
-    /// Steps all lanes through `com` [rad], one command a step.
-    pub fn advance(&mut self, mut com: &[f64]) {
+    fn steps(&mut self, mut com: &[f64]) {
         self.interval += com.len() as u64;
         while !com.is_empty() {
             if self.step.is_multiple_of(RESYNC_STEPS) {

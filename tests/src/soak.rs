@@ -5,6 +5,7 @@
 use crate::stream::{Program, TestDomain};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use schemas::feature::Feature;
 use schemas::stream::diagnosis::{DiagnosisMessage, DiagnosisSubscriber};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -140,12 +141,9 @@ fn is_offline(m: &DiagnosisMessage, v: &Value) -> bool {
         (m.zeta_hi, &v["zeta"]["hi"]),
         (m.zeta_estimate, &v["zeta"]["estimate"]),
         (m.area, &v["area"]),
-        (m.p1_rad_per_s, &v["features"]["p1_rad_per_s"]),
-        (m.p2_a, &v["features"]["p2_a"]),
-        (m.p3, &v["features"]["p3"]),
-        (m.ripple_rad_per_s, &v["features"]["ripple_rad_per_s"]),
     ];
-    pairs.iter().all(|(a, b)| b.as_f64() == Some(*a))
+    let features = |f: Feature| m.feature(f) == v["features"][f.key()].as_f64();
+    pairs.iter().all(|(a, b)| b.as_f64() == Some(*a)) && Feature::TABLE.into_iter().all(features)
 }
 
 /// Kills until there have been `kills`; `tell` hears of the progress.

@@ -6,6 +6,7 @@ mod common;
 use common::process::cache;
 use common::*;
 use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain};
+use schemas::feature::Feature;
 use schemas::stream::diagnosis::DiagnosisSubscriber;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -69,7 +70,9 @@ fn e2e_live_replay_and_offline_give_the_same_bits() {
         assert_eq!(m.outcome, 1);
         assert_eq!(m.fsj_lo, offline["fsj"]["lo"].as_f64().unwrap());
         assert_eq!(m.zeta_hi, offline["zeta"]["hi"].as_f64().unwrap());
-        assert_eq!(m.p2_a, offline["features"]["p2_a"].as_f64().unwrap());
+        for f in Feature::TABLE {
+            assert_eq!(m.feature(f), offline["features"][f.key()].as_f64(), "{}", f.key());
+        }
     }
     // and the recordings made meanwhile are the recording
     let files: Vec<PathBuf> = std::fs::read_dir(&rec).unwrap().flatten().map(|e| e.path()).collect();

@@ -3,7 +3,7 @@
 use ema_tests::reference_run;
 use proptest::prelude::*;
 use schemas::channel::Channel;
-use schemas::feature::RawFeatures;
+use schemas::feature::{Raw, RawFeatures};
 use schemas::recording::{Provenance, Recorder, Recording};
 use schemas::telemetry::{Collector, TelemetrySink};
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
@@ -17,22 +17,13 @@ fn plan() -> Arc<FeaturePlan> {
     Arc::new(FeaturePlan::new(&ActuatorParameters::reference(), &s, 1000.0, false))
 }
 
-fn bits(f: &RawFeatures) -> [Option<u64>; 5] {
-    [
-        f.mean_speed_rad_per_s,
-        f.ripple_rad_per_s,
-        f.p2_a,
-        f.p3_rad,
-        f.rest_angle_rad,
-    ]
-    .map(|x| x.map(f64::to_bits))
-}
-
-fn whole() -> [Option<u64>; 5] {
+fn whole() -> [Option<u64>; RawFeatures::COUNT + 1] {
     let mut x = FeatureExtractor::new(plan());
     x.push(&RUN.view());
     assert!(x.missing().is_empty(), "{:?}", x.missing());
-    bits(&x.features())
+    let bits = x.features().bits();
+    assert!(bits.iter().all(Option::is_some), "{bits:?}");
+    bits
 }
 
 proptest! {
@@ -51,7 +42,7 @@ proptest! {
                 break;
             }
         }
-        prop_assert_eq!(bits(&x.features()), whole());
+        prop_assert_eq!(x.features().bits(), whole());
     }
 
     #[test]
@@ -60,15 +51,27 @@ proptest! {
         let view = RUN.view();
         x.push(&view.slice(0, at));
         x.push(&view.slice(at + len, view.rows));
-        let (f, full) = (bits(&x.features()), whole());
-        for k in 0..4 {
+        let (f, full) = (x.features().bits(), whole());
+        for k in 0..RawFeatures::COUNT {
             // present and exact, or absent and named
             prop_assert!(f[k] == full[k] || f[k].is_none());
         }
         let hit = |a: usize, b: usize| at < b && at + len > a;
-        prop_assert_eq!(f[0].is_none(), hit(2400, 2850));
-        prop_assert_eq!(f[2].is_none(), hit(850, 1850));
-        if f[0].is_none() || f[2].is_none() {
+        let (regime, sine) = (hit(2400, 2850), hit(850, 1850));
+        for (raw, lost) in [
+            (Raw::MeanSpeed, regime),
+            (Raw::Ripple, regime),
+            (Raw::CurrentRms, regime),
+            (Raw::CurrentImbalance, regime),
+            (Raw::P2, sine),
+            (Raw::SineTravel, sine),
+            (Raw::CurrentSum, sine),
+            (Raw::EvenCurrent, sine),
+            (Raw::BiasCurrent, sine),
+        ] {
+            prop_assert_eq!(f[raw as usize].is_none(), lost, "{:?}", raw);
+        }
+        if regime || sine {
             prop_assert!(!x.missing().is_empty());
         }
     }
@@ -77,7 +80,7 @@ proptest! {
 /// Where the samples around break-away are lost, the first one off rest that is seen is not P3.
 #[test]
 fn prop_a_gap_before_breakaway_leaves_p3_out() {
-    let full = whole()[3].expect("the rotor leaves rest");
+    let full = whole()[Raw::P3 as usize].expect("the rotor leaves rest");
     let view = RUN.view();
     let com = RUN.column(Channel::Com).unwrap();
     let breakaway = com.iter().position(|c| c.to_bits() == full).unwrap();
@@ -90,7 +93,7 @@ fn prop_a_gap_before_breakaway_leaves_p3_out() {
         let mut x = FeatureExtractor::new(plan());
         x.push(&view.slice(0, from));
         x.push(&view.slice(to, view.rows));
-        let p3 = x.features().p3_rad.map(f64::to_bits);
+        let p3 = x.features()[Raw::P3].map(f64::to_bits);
         assert_eq!(p3, known.then_some(full), "gap {from}..{to}");
         assert!(x.missing().iter().any(|m| m.contains("P3")));
     }
@@ -111,7 +114,7 @@ fn prop_a_parquet_file_gives_back_the_same_bits() {
     r.finish().unwrap();
     let mut x = FeatureExtractor::new(plan());
     Recording::open(&path).unwrap().replay(333, &mut x).unwrap();
-    assert_eq!(bits(&x.features()), whole());
+    assert_eq!(x.features().bits(), whole());
     assert_eq!(
         std::fs::read_dir(dir.path()).unwrap().count(),
         1,

@@ -4,7 +4,9 @@
 use ema_tests::stream::TestDomain;
 use iceoryx2::prelude::*;
 use schemas::channel::{Channel, ChannelSet};
+use schemas::feature::Feature;
 use schemas::stream::Ipc;
+use schemas::stream::diagnosis::DiagnosisMessage;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
 use schemas::stream::publisher::{Delivery, Publisher};
 use schemas::stream::subscriber::Subscriber;
@@ -277,7 +279,7 @@ fn prop_specification_and_examples_name_the_layouts() {
     let names = [
         FrameHeader::wire_name(),
         schemas::stream::frame::Acknowledgement::wire_name(),
-        schemas::stream::diagnosis::DiagnosisMessage::wire_name(),
+        DiagnosisMessage::wire_name(),
     ];
     for file in ["README.md", "examples/python/ema_stream.py"] {
         let text = std::fs::read_to_string(root.join(file)).unwrap();
@@ -291,4 +293,10 @@ fn prop_specification_and_examples_name_the_layouts() {
         let row = format!("| `{field}` | {kind} | {offset} |");
         assert!(text.contains(&row), "{row}");
     }
+    // and so does every feature of a diagnosis
+    let numbers = std::mem::offset_of!(DiagnosisMessage, features);
+    let keys = Feature::TABLE.map(|f| format!("`{}`", f.key())).join(", ");
+    let offsets: Vec<String> = (0..Feature::COUNT).map(|k| (numbers + 8 * k).to_string()).collect();
+    let row = format!("| {keys} | f64 | {} | features |", offsets.join(", "));
+    assert!(text.contains(&row), "{row}");
 }

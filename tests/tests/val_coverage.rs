@@ -182,33 +182,24 @@ fn prop_outcomes_say_what_is_wrong_and_make_nothing_up() {
     assert_eq!(d.diagnose(&good, &[]).outcome.name(), "located");
 
     // one map's value missing: incomplete, and what the rest allows
-    let without = Features { p2_a: None, ..good };
+    let without = good.with(Feature::P2, None);
     let o = d.diagnose(&without, &[]).outcome;
     assert_eq!((o.name(), o.reason()), ("incomplete", "no value of p2"));
     assert!(o.area().is_some());
 
     // not a number: incomplete, named
-    let odd = Features {
-        rise_s: Some(f64::NAN),
-        ..good
-    };
+    let odd = good.with(Feature::Rise, Some(f64::NAN));
     let o = d.diagnose(&odd, &[]).outcome;
     assert_eq!(o.name(), "incomplete");
     assert!(o.reason().contains("rise is NaN"), "{}", o.reason());
 
     // nothing but one value: no area
-    let one = Features {
-        p2_a: good.p2_a,
-        ..Features::default()
-    };
+    let one = Features::default().with(Feature::P2, good.get(Feature::P2));
     let o = d.diagnose(&one, &[]).outcome;
     assert!(o.name() == "incomplete" && o.area().is_none());
 
     // one value far beyond its map: nothing is located, and it is said
-    let beyond = Features {
-        p2_a: Some(50.0),
-        ..good
-    };
+    let beyond = good.with(Feature::P2, Some(50.0));
     let o = d.diagnose(&beyond, &[]).outcome;
     assert!(
         o.area().is_none() && o.reason().contains("p2 = 5.00000e1 A is above the map's end"),
@@ -216,20 +207,14 @@ fn prop_outcomes_say_what_is_wrong_and_make_nothing_up() {
     );
 
     // contradicting values: nothing is located, and the odd map is named
-    let contradicting = Features {
-        ripple_rad_per_s: good.ripple_rad_per_s.map(|r| 0.5 * r),
-        ..good
-    };
+    let contradicting = good.with(Feature::Ripple, good.get(Feature::Ripple).map(|r| 0.5 * r));
     let Outcome::Unexplained { contradicting, reason } = d.diagnose(&contradicting, &[]).outcome else {
         panic!("unexplained")
     };
     assert_eq!(contradicting, [Feature::Ripple], "{reason}");
 
     // a witness alone overrules
-    let travel = Features {
-        sine_travel_rad: good.sine_travel_rad.map(|x| x + 0.02),
-        ..good
-    };
+    let travel = good.with(Feature::SineTravel, good.get(Feature::SineTravel).map(|x| x + 0.02));
     let Outcome::Unexplained { contradicting, reason } = d.diagnose(&travel, &[]).outcome else {
         panic!("unexplained")
     };

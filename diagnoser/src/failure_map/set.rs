@@ -1,6 +1,7 @@
 //! The maps of one actuator, saved and loaded together.
 
 use super::{FailureMap, MapBudget};
+use crate::uncertainty::MOST;
 use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Float64Type, Schema};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
@@ -72,6 +73,23 @@ impl FailureMapSet {
 
     pub fn map(&self, feature: Feature) -> Option<&FailureMap> {
         self.maps.iter().find(|m| m.feature == feature)
+    }
+
+    /// The maps that are inverted together: all but those whose parts have maps too.
+    pub fn joint(&self) -> impl Iterator<Item = &FailureMap> {
+        let has = |parts: [Feature; 2]| parts.into_iter().all(|f| self.map(f).is_some());
+        self.maps.iter().filter(move |m| !m.feature.parts().is_some_and(has))
+    }
+
+    /// Refuses more maps than can be inverted together, and more witnesses, naming the first too many.
+    pub fn check(&self, file: &str) -> Result<()> {
+        match self.joint().nth(MOST).or(self.witnesses.get(MOST)) {
+            Some(m) => {
+                let place = format!("map {}", m.feature.name());
+                Err(Error::bad(file, place, "one too many", format!("{MOST} at most")))
+            }
+            None => Ok(()),
+        }
     }
 
     fn all(&self) -> impl Iterator<Item = &FailureMap> {
@@ -224,12 +242,14 @@ impl FailureMapSet {
         }
         let nominal = std::array::from_fn(|k| stored.nominal.get(k).copied().flatten());
         let nominal = RawFeatures::from_values(nominal, Some(stored.header.kind.rest_angle_rad));
-        Ok(Self {
+        let set = Self {
             header: stored.header,
             nominal,
             maps,
             witnesses,
-        })
+        };
+        set.check(&file)?;
+        Ok(set)
     }
 }
 

@@ -1,5 +1,5 @@
 //! Lattice cells cut into strips: the local algebra of the set inversion.
-use super::{EMPTY, Limits, Row, Span, join, lerp, meet};
+use super::{EMPTY, Limits, MOST, Row, Span, join, lerp, meet};
 
 /// Where Q <= T along one edge of a strip, a span of the cell's u, with T lessened and raised by the rounding.
 #[derive(Clone, Copy)]
@@ -41,7 +41,7 @@ pub(super) struct Cell {
     q: [[f64; 3]; 3],
     /// T less and T plus the rounding.
     threshold: Span,
-    /// Features at the corners, u first, for the bands that matter here (`live`, a bit for each).
+    /// Row at the corners, u first, for the bands that matter here (`live`, a bit for each).
     m: [Row; 4],
     live: u8,
     /// Whether all of the cell has Q <= T.
@@ -50,8 +50,8 @@ pub(super) struct Cell {
 
 /// Admitted features, narrowed and widened by the rounding.
 pub(super) struct Bands {
-    pub inner: [Span; 8],
-    pub outer: [Span; 8],
+    pub inner: [Span; MOST],
+    pub outer: [Span; MOST],
 }
 
 /// Hull of { u in 0..1 : parabola <= t } from its Bernstein coefficients.
@@ -231,7 +231,7 @@ impl Cell {
     /// Narrows the spans of a strip by the bands.
     #[cold]
     fn banded(&self, mut inner: Span, mut outer: Span, v: Span, bands: &Bands) -> (Span, Span) {
-        for i in (0..8).filter(|i| self.live >> i & 1 == 1) {
+        for i in (0..MOST).filter(|i| self.live >> i & 1 == 1) {
             let ends = |v| {
                 (
                     lerp((self.m[0][i], self.m[2][i]), v),

@@ -1,5 +1,5 @@
 //! Feature surfaces on a lattice and the joint test on them.
-use super::{Row, dot, lerp};
+use super::{MOST, Row, dot, lerp};
 
 /// One node on one cache line.
 #[derive(Clone, Copy, Debug)]
@@ -14,7 +14,7 @@ pub struct Lattice {
     /// zeta of the rows [-], strictly rising.
     pub zeta: Vec<f64>,
     nodes: Vec<Node>,
-    directions: [(f64, f64); 8],
+    directions: [(f64, f64); MOST],
     /// Largest magnitude of each surface, the scale of its rounding.
     pub(super) peak: Row,
 }
@@ -26,7 +26,7 @@ impl Lattice {
         fsj: Vec<f64>,
         zeta: Vec<f64>,
         nodes: Vec<Row>,
-        directions: [(f64, f64); 8],
+        directions: [(f64, f64); MOST],
     ) -> Result<Self, &'static str> {
         let rising = |axis: &[f64]| axis.len() > 1 && axis.windows(2).all(|p| p[0] < p[1]);
         if !rising(&fsj) || !rising(&zeta) {
@@ -40,7 +40,7 @@ impl Lattice {
         }
         let mut nodes: Vec<Node> = nodes.into_iter().map(Node).collect();
         let (n, rows) = (fsj.len(), zeta.len());
-        let mut peak = [0.0; 8];
+        let mut peak = [0.0; MOST];
         for (i, &(df, dz)) in directions.iter().enumerate() {
             let index = |col: usize, row: usize| {
                 (if dz < 0.0 { rows - 1 - row } else { row }) * n + if df < 0.0 { n - 1 - col } else { col }
@@ -69,17 +69,17 @@ impl Lattice {
     }
 
     /// Direction of each surface along (FSJ, zeta), +1 or -1.
-    pub fn directions(&self) -> &[(f64, f64); 8] {
+    pub fn directions(&self) -> &[(f64, f64); MOST] {
         &self.directions
     }
 
-    /// Features at FSJ `f` [-] and zeta `z` [-], held constant beyond the lattice.
+    /// Row at FSJ `f` [-] and zeta `z` [-], held constant beyond the lattice.
     pub fn at(&self, f: f64, z: f64) -> Row {
         let cell = |axis: &[f64], x: f64| axis.partition_point(|&a| a <= x).clamp(1, axis.len() - 1) - 1;
         self.in_cell(cell(&self.fsj, f), cell(&self.zeta, z), f, z)
     }
 
-    /// Features and their slopes along FSJ and zeta at a pair, straight beyond the lattice.
+    /// Row and their slopes along FSJ and zeta at a pair, straight beyond the lattice.
     pub fn with_slopes(&self, f: f64, z: f64) -> (Row, Row, Row) {
         let (i, j) = self.cell_of(f, z);
         let (wide, high) = (self.fsj[i + 1] - self.fsj[i], self.zeta[j + 1] - self.zeta[j]);
@@ -130,7 +130,7 @@ impl Lattice {
 #[derive(Clone, Debug)]
 pub struct Joint {
     /// Whitening matrix, one row for each residual and one column for each feature; unused ones are zero.
-    pub w: [[f64; 8]; 8],
+    pub w: [[f64; MOST]; MOST],
     /// Whitened measurement [-].
     pub offset: Row,
     /// Largest admitted Q [-]; may be infinite.
@@ -140,19 +140,19 @@ pub struct Joint {
 impl Joint {
     /// Q of the features `m` [-].
     pub fn misfit(&self, m: &Row) -> f64 {
-        (0..8).map(|k| (self.offset[k] - dot(&self.w[k], m)).powi(2)).sum()
+        (0..MOST).map(|k| (self.offset[k] - dot(&self.w[k], m)).powi(2)).sum()
     }
 }
 
 /// Least-squares inverse of a whitening matrix.
 pub(super) struct Inverse {
-    pub w: [[f64; 8]; 8],
+    pub w: [[f64; MOST]; MOST],
     /// One row for each feature; none if the features in use are not all determined.
-    pub rows: Option<[Row; 8]>,
+    pub rows: Option<[Row; MOST]>,
 }
 
 impl Inverse {
-    pub fn new(w: &[[f64; 8]; 8]) -> Self {
+    pub fn new(w: &[[f64; MOST]; MOST]) -> Self {
         Self {
             w: *w,
             rows: Self::rows(w),
@@ -160,9 +160,9 @@ impl Inverse {
     }
 
     /// Modified Gram-Schmidt W = Q R, then R^-1 Q^T by back substitution.
-    fn rows(w: &[[f64; 8]; 8]) -> Option<[Row; 8]> {
-        let (mut q, mut r) = ([[0.0; 8]; 8], [[0.0; 8]; 8]);
-        for i in 0..8 {
+    fn rows(w: &[[f64; MOST]; MOST]) -> Option<[Row; MOST]> {
+        let (mut q, mut r) = ([[0.0; MOST]; MOST], [[0.0; MOST]; MOST]);
+        for i in 0..MOST {
             let column: Row = std::array::from_fn(|k| w[k][i]);
             let (mut rest, length) = (column, dot(&column, &column).sqrt());
             if length == 0.0 {
@@ -178,7 +178,7 @@ impl Inverse {
             }
             q[i] = rest.map(|x| x / r[i][i]);
         }
-        for i in (0..8).rev().filter(|&i| r[i][i] > 0.0) {
+        for i in (0..MOST).rev().filter(|&i| r[i][i] > 0.0) {
             for j in i + 1..8 {
                 q[i] = std::array::from_fn(|k| q[i][k] - r[i][j] * q[j][k]);
             }

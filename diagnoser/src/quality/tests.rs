@@ -31,15 +31,9 @@ fn set(maps: Vec<FailureMap>) -> FailureMapSet {
     FailureMapSet {
         header: MapSetHeader {
             actuator: text(),
-            parameters: text(),
             sequence: text(),
-            sequence_fingerprint: text(),
-            rate_hz: 1e4,
-            sensors: text(),
-            rest_angle_rad: 0.0,
-            equivalent_current: false,
+            kind: schemas::test_kind::TestKind::default(),
             grid: text(),
-            load_n_m: 0.0,
             step_s: 1e-6,
             seed: 0,
             commit: text(),
@@ -61,6 +55,29 @@ fn near(found: f64, expected: f64, share: f64) {
 
 fn left_by(q: &MapQuality, remedy: Remedy) -> &Candidate {
     q.candidates.iter().find(|c| c.remedy == remedy).unwrap()
+}
+
+#[test]
+fn prop_a_map_too_many_is_refused_by_name_and_what_has_parts_does_not_count() {
+    let maps = |n: usize| vec![map(Feature::P2, 0.01, 0.0, |f, z| f + z); n];
+    let mut many = set(maps(8));
+    assert!(many.check("test").is_ok());
+    for feature in [Feature::Ripple, Feature::SpeedLoss, Feature::P1] {
+        let direction = feature.direction();
+        many.maps.push(map(feature, 0.01, 0.0, |f, z| direction.0 * f + z));
+        assert!(many.check("test").is_err());
+    }
+    let e = Diagnoser::new(many.clone(), None, COVERAGE, &Vec::new())
+        .unwrap_err()
+        .to_string();
+    assert!(e.contains("ripple") && e.contains("8 at most"), "{e}");
+    many.maps.drain(..2);
+    // P1 says nothing that its parts do not
+    let joint: Vec<Feature> = many.joint().map(|m| m.feature).collect();
+    assert_eq!(joint[6..], [Feature::Ripple, Feature::SpeedLoss]);
+    assert!(many.check("test").is_ok());
+    many.witnesses = maps(9);
+    assert!(many.check("test").is_err());
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The command line of `ema query`.
 
+use crate::tables::refuse_old;
 use crate::{Answer, Question, Table, explain, output, query as sql};
 use anyhow::Result;
 use clap::{Parser, ValueEnum};
@@ -26,8 +27,8 @@ enum Format {
     bin_name = "ema query",
     version,
     about = "SQL and ready questions over a dataset",
-    after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature); of a fleet also\n\
-    actuators, diagnoses, intervals. Ready questions: ema query --list\n\
+    after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature), actuators,\n\
+    diagnoses, intervals. Ready questions: ema query --list\n\
     Example: ema query \"SELECT zeta, AVG(p2_a) AS p2 FROM features GROUP BY zeta ORDER BY zeta\" --data dataset\n\
     Example: ema query out-of-family --data fleet"
 )]
@@ -61,7 +62,10 @@ struct QueryArgs {
 fn folder(place: &Path) -> Result<PathBuf> {
     match place.to_str().filter(|t| t.contains("://")) {
         Some(url) => Ok(mirror(&Storage::open(url)?, &cache_dir())?),
-        None => Ok(place.to_path_buf()),
+        None => {
+            refuse_old(place)?;
+            Ok(place.to_path_buf())
+        }
     }
 }
 

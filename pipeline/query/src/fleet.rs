@@ -43,7 +43,7 @@ const KEYS: [&str; 4] = ["sequence", "rest_angle_rad", "fsj", "zeta"];
 /// * `healthy` only the point FSJ 1, zeta 0
 ///
 /// # Errors
-/// No features, or features of a single actuator's dataset.
+/// No features, or those of something else.
 pub fn read(dir: &Path, columns: &[&str], actuators: bool, healthy: bool) -> Result<LazyFrame> {
     let mut frame = Table::Features.scan(dir)?;
     let schema = super::guarded(|| frame.collect_schema()).map_err(|e| Error::torn(dir, e))?;
@@ -54,7 +54,7 @@ pub fn read(dir: &Path, columns: &[&str], actuators: bool, healthy: bool) -> Res
         .collect();
     for &name in wanted.iter().chain(&["kind"]) {
         if schema.get(name).is_none() {
-            let allowed = "the features of a fleet (ema dataset make)";
+            let allowed = "the features of a dataset (ema simulate, ema dataset make)";
             let place = "table `features`";
             let found = format!("no column `{name}`");
             return Err(Error::bad(dir.display().to_string(), place, found, allowed).into());

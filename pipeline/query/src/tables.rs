@@ -1,9 +1,9 @@
-//! The tables of a dataset folder, of `ema simulate` (one actuator) and of `ema dataset` (a fleet).
+//! The tables of a dataset folder.
 
 use anyhow::Result;
 use polars::prelude::*;
 use schemas::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 /// A table that SQL and questions can name.
@@ -43,7 +43,7 @@ impl Table {
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Runs => "telemetry, one row a sample",
-            Self::Features => "one row a run; p1_rad_per_s, speed_loss_rad_per_s, p3 over the healthy run",
+            Self::Features => "one row a run: what was measured, and what is formed of it over the healthy run",
             Self::Actuators => "drawn parameters, one row an actuator",
             Self::Maps => "failure maps, one row a grid point and feature",
             Self::Diagnoses => "one row a diagnosed test",
@@ -54,44 +54,38 @@ impl Table {
     /// The command that makes it.
     fn maker(self) -> &'static str {
         match self {
-            Self::Runs => "made by ema simulate, or ema dataset make with telemetry kept",
-            Self::Features => "made by ema simulate or ema dataset make",
-            Self::Actuators => "made by ema dataset make",
-            Self::Maps => "made by ema maps or ema dataset maps",
+            Self::Runs => "made by ema simulate or ema dataset make, with telemetry kept",
+            Self::Features | Self::Actuators => "made by ema simulate or ema dataset make",
+            Self::Maps => "made by ema maps",
             Self::Diagnoses | Self::Intervals => "made by ema dataset diagnose",
         }
     }
 
-    /// Where its files may lie in a dataset folder; the first that is there counts.
-    fn places(self) -> &'static [(&'static str, &'static str)] {
+    /// Where its files lie in a dataset folder.
+    fn files(self) -> &'static str {
         match self {
-            Self::Runs => &[("runs", "runs/*.parquet"), ("telemetry", "telemetry/**/*.parquet")],
-            Self::Features => &[("features", "features/*.parquet")],
-            Self::Actuators => &[("actuators", "actuators/*.parquet")],
-            Self::Maps => &[("maps.parquet", "maps.parquet"), ("maps", "maps/*.parquet")],
-            Self::Diagnoses | Self::Intervals => &[("diagnoses", "diagnoses/*.parquet")],
+            Self::Runs => "telemetry/**/*.parquet",
+            Self::Features => "features/*.parquet",
+            Self::Actuators => "actuators/*.parquet",
+            Self::Maps => "maps/*.parquet",
+            Self::Diagnoses | Self::Intervals => "diagnoses/*.parquet",
         }
-    }
-
-    fn pattern(self, dir: &Path) -> Option<PathBuf> {
-        let place = self.places().iter().find(|(there, _)| dir.join(there).exists());
-        place.map(|(_, pattern)| dir.join(pattern))
     }
 
     /// Whether the folder has it.
     pub fn there(self, dir: &Path) -> bool {
-        self.pattern(dir).is_some()
+        let folder = self.files().split('/').next().unwrap_or_default();
+        dir.join(folder).exists()
     }
 
     /// One line: what is missing, and which command makes it.
     pub fn missing(self, dir: &Path) -> Error {
-        let files = self.places().iter().map(|(_, p)| *p).collect::<Vec<_>>().join(" or ");
         let place = format!("table `{}`", self.name());
         Error::bad(
             dir.display().to_string(),
             place,
             "nothing",
-            format!("{files}, {}", self.maker()),
+            format!("{}, {}", self.files(), self.maker()),
         )
     }
 
@@ -100,20 +94,44 @@ impl Table {
     /// # Errors
     /// The folder has no such table, or a file that is not Parquet.
     pub fn scan(self, dir: &Path) -> Result<LazyFrame> {
-        let pattern = self.pattern(dir).ok_or_else(|| self.missing(dir))?;
+        if !self.there(dir) {
+            return Err(self.missing(dir).into());
+        }
+        let pattern = dir.join(self.files());
         match self {
             Self::Runs => runs(&pattern),
-            Self::Features => features(&pattern),
-            Self::Intervals => intervals(scan(&pattern)?),
-            Self::Actuators | Self::Maps | Self::Diagnoses => scan(&pattern),
+            Self::Intervals => intervals(scan(&pattern, ScanArgsParquet::default())?),
+            Self::Features | Self::Actuators | Self::Maps | Self::Diagnoses => {
+                scan(&pattern, ScanArgsParquet::default())
+            }
         }
     }
 }
 
-/// A path that polars takes as a pattern only where it is meant as one.
-fn scan(pattern: &Path) -> Result<LazyFrame> {
+/// Refuses a folder of version 0.1, when datasets of one actuator had a layout of their own.
+///
+/// # Errors
+/// Says which command makes a dataset.
+pub fn refuse_old(dir: &Path) -> Result<()> {
+    if !dir.join("plan.txt").exists() || dir.join("plan.toml").exists() {
+        return Ok(());
+    }
+    let allowed = "a dataset with plan.toml; `ema simulate --out NEW` makes one";
+    Err(Error::bad(
+        dir.display().to_string(),
+        "dataset",
+        "plan.txt, a dataset of version 0.1",
+        allowed,
+    )
+    .into())
+}
+
+/// A table of files, lazily.
+///
+/// * `pattern` that polars takes as one
+fn scan(pattern: &Path, args: ScanArgsParquet) -> Result<LazyFrame> {
     let path = PlRefPath::new(pattern.to_string_lossy());
-    LazyFrame::scan_parquet(path, ScanArgsParquet::default()).map_err(|e| Error::torn(pattern, e).into())
+    LazyFrame::scan_parquet(path, args).map_err(|e| Error::torn(pattern, super::one_line(&e)).into())
 }
 
 /// Names of the columns of a lazy table.
@@ -122,26 +140,20 @@ fn names(frame: &mut LazyFrame, file: &Path) -> Result<Vec<String>> {
     Ok(schema.iter_names().map(|n| n.to_string()).collect())
 }
 
-/// Telemetry; of a fleet with the columns `sequence` and `actuator` from the folders' names. The equivalent
-/// current [A] is formed from the phase currents where it is not stored.
+/// Telemetry, with the columns `sequence` and `actuator` from the folders' names. The equivalent current [A] is
+/// formed from the phase currents where it is not stored.
 fn runs(pattern: &Path) -> Result<LazyFrame> {
-    let mut frame = if pattern.to_string_lossy().contains("**") {
-        // names of actuators may look like numbers or dates
-        let text = [("sequence", DataType::String), ("actuator", DataType::String)];
-        let schema = Schema::from_iter(text.map(|(n, t)| Field::new(n.into(), t)));
-        let hive_options = HiveOptions {
+    // names of actuators may look like numbers or dates
+    let text = [("sequence", DataType::String), ("actuator", DataType::String)];
+    let schema = Schema::from_iter(text.map(|(n, t)| Field::new(n.into(), t)));
+    let args = ScanArgsParquet {
+        hive_options: HiveOptions {
             schema: Some(Arc::new(schema)),
             ..HiveOptions::new_enabled()
-        };
-        let args = ScanArgsParquet {
-            hive_options,
-            ..ScanArgsParquet::default()
-        };
-        let path = PlRefPath::new(pattern.to_string_lossy());
-        LazyFrame::scan_parquet(path, args).map_err(|e| Error::torn(pattern, super::one_line(&e)))?
-    } else {
-        return scan(pattern);
+        },
+        ..ScanArgsParquet::default()
     };
+    let mut frame = scan(pattern, args)?;
     let names = names(&mut frame, pattern)?;
     let has = |n: &str| names.iter().any(|x| x == n);
     if has("i_eq") || !["i_a", "i_b", "i_c"].into_iter().all(has) {
@@ -150,34 +162,6 @@ fn runs(pattern: &Path) -> Result<LazyFrame> {
     let size = |n: &str| col(n).abs();
     let half = (size("i_a") + size("i_b") + size("i_c")) / lit(2);
     Ok(frame.with_column(half.alias("i_eq")))
-}
-
-/// Features as stored by a fleet; of one actuator's dataset with P1 and P3 over the healthy run of the same
-/// rest angle, which is formed here.
-fn features(pattern: &Path) -> Result<LazyFrame> {
-    let mut raw = scan(pattern)?;
-    if names(&mut raw, pattern)?.iter().any(|n| n == "actuator") {
-        return Ok(raw);
-    }
-    let healthy = raw
-        .clone()
-        .filter(col("fsj").eq(lit(1.0)).and(col("zeta").eq(lit(0.0))))
-        .select([
-            col("rest_angle_rad"),
-            col("mean_speed_rad_per_s").alias("mean_0"),
-            col("p3_rad").alias("p3_0"),
-        ]);
-    let on = [col("rest_angle_rad")];
-    let d = col("mean_speed_rad_per_s") - col("mean_0");
-    let r = col("ripple_rad_per_s");
-    Ok(raw
-        .join(healthy, on.clone(), on, JoinArgs::new(JoinType::Left))
-        .with_columns([
-            (r.clone() * r + d.clone() * d.clone()).sqrt().alias("p1_rad_per_s"),
-            (lit(0.0) - d).alias("speed_loss_rad_per_s"),
-            (col("p3_rad") / col("p3_0")).alias("p3"),
-        ])
-        .drop(cols(["mean_0", "p3_0"])))
 }
 
 /// Diagnoses by fault: one row a diagnosis and fault, all FSJ rows first.

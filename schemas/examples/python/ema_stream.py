@@ -55,7 +55,16 @@ MAX_LOANS = 4
 BEGIN, SAMPLES, END = 1, 2, 3
 
 OUTCOMES = {1: "located", 2: "unexplained", 3: "out_of_range", 4: "incomplete"}
-FEATURES = ("p1", "p2", "p3", "ripple")
+
+# Feature number n, bit n of DiagnosisMessage.contradicting: (name, unit). The last one has no map and no bit.
+FEATURES = (
+    ("p1", "rad/s"), ("p2", "A"), ("p3", "-"), ("ripple", "rad/s"), ("speed_loss", "rad/s"), ("rise", "s"),
+    ("current_rms", "A"), ("sine_travel", "rad"), ("current_sum", "A"), ("current_imbalance", "-"),
+    ("even_current", "A"), ("bias_current", "A"), ("p3", "rad"),
+)  # fmt: skip
+ENDINGS = {"rad/s": "_rad_per_s", "rad": "_rad", "A": "_a", "s": "_s", "-": ""}
+# Fields of DiagnosisMessage and keys of logs.
+FEATURE_KEYS = tuple(name + ENDINGS[unit] for name, unit in FEATURES)
 
 U32, U64, I64, F64 = ctypes.c_uint32, ctypes.c_uint64, ctypes.c_int64, ctypes.c_double
 
@@ -106,14 +115,14 @@ class DiagnosisMessage(ctypes.Structure):
         ("fsj_lo", F64), ("fsj_hi", F64), ("fsj_estimate", F64),
         ("zeta_lo", F64), ("zeta_hi", F64), ("zeta_estimate", F64),
         ("area", F64), ("coverage", F64),
-        ("p1_rad_per_s", F64), ("p2_a", F64), ("p3", F64), ("p3_rad", F64), ("ripple_rad_per_s", F64),
+        *((key, F64) for key in FEATURE_KEYS),
         ("samples_received", U64), ("samples_lost", U64), ("telemetry_ns", U64), ("publish_ns", U64),
         ("reason", ctypes.c_char * 512),
     ]  # fmt: skip
 
     @staticmethod
     def type_name():
-        return "ema::DiagnosisMessage/1/bff9441e"
+        return "ema::DiagnosisMessage/1/1a5ce51e"
 
 
 class StreamError(Exception):

@@ -27,8 +27,7 @@ def interval(m, fault):
 
 def to_dict(m):
     """The message with the keys of a log of `ema live`."""
-    contradicting = [name for n, name in enumerate(ema.FEATURES) if m.contradicting >> n & 1]
-    features = ("p1_rad_per_s", "p2_a", "p3", "p3_rad", "ripple_rad_per_s")
+    contradicting = [name for n, (name, _) in enumerate(ema.FEATURES) if m.contradicting >> n & 1]
     return {
         "time_ns": time.time_ns() - (ema.now_ns() - m.publish_ns),
         "actuator": ema.text(m.actuator),
@@ -42,7 +41,7 @@ def to_dict(m):
         "zeta": interval(m, "zeta"),
         "area": known(m.area),
         "coverage": m.coverage,
-        "features": {f: known(getattr(m, f)) for f in features},
+        "features": {key: known(getattr(m, key)) for key in ema.FEATURE_KEYS},
         "contradicting": contradicting,
         "reason": ema.text(m.reason),
         "samples_received": m.samples_received,

@@ -1,9 +1,10 @@
 //! Diagnoses as messages.
 
 use super::domain::{Domain, failed};
-use super::wire::{to_text, wire};
+use super::wire::{FeatureNumbers, to_text, wire};
 use super::{DIAGNOSIS, DIAGNOSIS_BUFFER, DIAGNOSIS_HISTORY, Ipc, MAX_NODES, MAX_PUBLISHERS, MAX_SUBSCRIBERS};
 use crate::error::Result;
+use crate::feature::Feature;
 use iceoryx2::port::listener::ListenerWaitError;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
@@ -17,8 +18,8 @@ wire! {
         outcome: u32,
         /// 1: the last word on the stream; 0: so far
         is_final: u32,
-        /// bit `n`: the map of feature number `n` (p1, p2, p3, ripple, speed_loss, rise, current_rms)
-        /// contradicts the others
+        /// bit `n`: the map of feature number `n` ([`Feature`]) contradicts the others, or witness number `n`
+        /// overrules them
         contradicting: u32,
         actuator: [u8; 32],
         parameters: u64,
@@ -36,11 +37,8 @@ wire! {
         /// size of the area in FSJ times zeta
         area: f64,
         coverage: f64,
-        p1_rad_per_s: f64,
-        p2_a: f64,
-        p3: f64,
-        p3_rad: f64,
-        ripple_rad_per_s: f64,
+        /// see [`DiagnosisMessage::feature`]
+        features: FeatureNumbers,
         samples_received: u64,
         samples_lost: u64,
         /// when the frame that completed it was published (CLOCK_MONOTONIC) [ns]
@@ -55,6 +53,11 @@ wire! {
 impl DiagnosisMessage {
     pub fn set_reason(&mut self, reason: &str) {
         self.reason = to_text(reason);
+    }
+
+    /// A feature in its unit.
+    pub fn feature(&self, feature: Feature) -> Option<f64> {
+        Some(self.features[feature as usize]).filter(|x| !x.is_nan())
     }
 }
 

@@ -2,6 +2,8 @@
 //! fingerprint. iceoryx2 compares types by name, size and alignment only, so the name holds the
 //! schema version and a fingerprint of every field.
 
+use crate::feature::Feature;
+
 /// A field's value before anything is written into it.
 pub trait Blank {
     const BLANK: Self;
@@ -21,6 +23,12 @@ impl Blank for f64 {
 impl<const N: usize> Blank for [u8; N] {
     const BLANK: Self = [0; N];
 }
+impl<const N: usize> Blank for [f64; N] {
+    const BLANK: Self = [0.0; N];
+}
+
+/// One number for each feature of [`Feature::TABLE`]: on the wire each is a field of its own, named by its key.
+pub type FeatureNumbers = [f64; Feature::COUNT];
 
 /// A field of a structure in shared memory: name, type and offset in bytes.
 pub type WireField = (&'static str, &'static str, usize);
@@ -28,8 +36,13 @@ pub type WireField = (&'static str, &'static str, usize);
 /// `ema::NAME/VERSION/FINGERPRINT`: what both ends of a service must agree on.
 pub(super) fn type_name(name: &str, fields: &[WireField], more: &str) -> String {
     let mut text = String::new();
-    for (field, kind, offset) in fields {
-        text += &format!("{field}:{kind}@{offset};");
+    for &(field, kind, offset) in fields {
+        if kind == "FeatureNumbers" {
+            let keys = Feature::TABLE.iter().map(|f| f.key()).zip(0..);
+            text.extend(keys.map(|(key, k)| format!("{key}:f64@{};", offset + k * size_of::<f64>())));
+        } else {
+            text += &format!("{field}:{kind}@{offset};");
+        }
     }
     let hash = crate::fingerprint::fingerprint(&(text + more));
     format!("ema::{name}/{}/{}", crate::SCHEMA_VERSION, &hash[..8])

@@ -6,7 +6,7 @@ use super::plan::DatasetPlan;
 use crate::noise::FeatureValues;
 use crate::parameters::ActuatorParameters;
 use schemas::channel::Channel;
-use schemas::feature::RawFeatures;
+use schemas::feature::{Raw, RawFeatures};
 use schemas::sequence::TestSequence;
 
 /// Values may be this many times what parameters and commands allow.
@@ -52,19 +52,14 @@ impl<'a> FeatureRanges<'a> {
         let current = MARGIN * a.current_limit_a.max(a.supply_voltage_v / a.phase_resistance_ohm);
         let travel = MARGIN * a.end_stop_rad;
         let motor = travel * a.gear_ratio;
-        [
-            user,
-            user,
-            current,
-            travel,
-            sequence.duration_s(),
-            current,
-            2.0 * motor,
-            current,
-            MARGIN,
-            current,
-            current,
-        ]
+        Raw::ALL.map(|raw| match raw {
+            Raw::MeanSpeed | Raw::Ripple => user,
+            Raw::P2 | Raw::CurrentRms | Raw::CurrentSum | Raw::EvenCurrent | Raw::BiasCurrent => current,
+            Raw::P3 => travel,
+            Raw::Rise => sequence.duration_s(),
+            Raw::SineTravel => 2.0 * motor,
+            Raw::CurrentImbalance => MARGIN,
+        })
     }
 
     /// What is wrong with a row, if anything.

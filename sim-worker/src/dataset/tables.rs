@@ -10,7 +10,7 @@ use bytes::Bytes;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use schemas::SCHEMA_VERSION;
 use schemas::error::{Error, Result};
-use schemas::feature::{Features, RawFeatures};
+use schemas::feature::{Feature, RawFeatures};
 use schemas::fingerprint::checksum;
 use schemas::recording::{Provenance, table_bytes};
 use std::cell::Cell;
@@ -352,9 +352,6 @@ pub struct PartRows<'a> {
 /// Columns of `features` before the raw ones.
 const KEYS: [&str; 6] = ["actuator", "tail", "position", "sequence", "kind", "run"];
 
-/// Columns that are worked out with the healthy run.
-const OVER_HEALTHY: [&str; 3] = ["p1_rad_per_s", "p3", "speed_loss_rad_per_s"];
-
 /// The schema of `features`.
 pub fn features_schema() -> Schema {
     let text = |n: &str| Field::new(n, DataType::Utf8, false);
@@ -362,7 +359,7 @@ pub fn features_schema() -> Schema {
     let mut fields = vec![Field::new(KEYS[5], DataType::UInt64, false)];
     fields.extend(KEYS[..5].iter().map(|n| text(n)));
     fields.extend(["fsj", "zeta", "rest_angle_rad"].map(number));
-    fields.extend(OVER_HEALTHY.map(number));
+    fields.extend(Feature::over_nominal().map(Feature::key).map(number));
     fields.extend(raw_fields());
     Schema::new(fields)
 }
@@ -382,7 +379,7 @@ fn features_batch(plan: &DatasetPlan, parts: &[PartRows<'_>]) -> Result<RecordBa
     }
     let mut texts: [Vec<&str>; 5] = Default::default();
     let mut runs = Vec::new();
-    let mut numbers: [Vec<Option<f64>>; 6] = Default::default();
+    let mut numbers = vec![Vec::new(); 3 + Feature::over_nominal().count()];
     let mut rows = Vec::new();
     for p in parts {
         let a = &plan.actuators[p.part.actuator];
@@ -395,16 +392,9 @@ fn features_batch(plan: &DatasetPlan, parts: &[PartRows<'_>]) -> Result<RecordBa
             }
             runs.push(run);
             let fault = plan.fault(p.part, run);
-            let over = nominal.map(|n| Features::over(&raw(v), n));
-            let values = [
-                Some(fault.fsj),
-                Some(fault.zeta),
-                Some(plan.rest_angles_rad[p.part.rest]),
-                over.and_then(|f| f.p1_rad_per_s),
-                over.and_then(|f| f.p3),
-                over.and_then(|f| f.speed_loss_rad_per_s),
-            ];
-            for (column, x) in numbers.iter_mut().zip(values) {
+            let place = [fault.fsj, fault.zeta, plan.rest_angles_rad[p.part.rest]].map(Some);
+            let over = Feature::over_nominal().map(|f| f.value(&raw(v), nominal?));
+            for (column, x) in numbers.iter_mut().zip(place.into_iter().chain(over)) {
                 column.push(x);
             }
             rows.push(*v);

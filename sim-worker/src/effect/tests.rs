@@ -2,7 +2,7 @@ use super::*;
 use crate::lanes::InstructionSet;
 use crate::monitor::MonitorModel;
 use crate::parameters::ActuatorParameters;
-use crate::test_bench::{Lane, NumericalTestBench};
+use crate::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::fault::FaultState;
 use std::f64::consts::TAU;
@@ -80,7 +80,10 @@ const TOLD: [Channel; 7] = [
 ];
 
 /// Bits of the samples of all lanes, every 100 steps.
-fn bits<const N: usize>(lanes: &[Lane], steps: usize, set: InstructionSet) -> Vec<Vec<u64>> {
+fn bits<const N: usize>(lanes: &[Lane], steps: usize, set: InstructionSet) -> Vec<Vec<u64>>
+where
+    Kernel: Built<N>,
+{
     let mut b = NumericalTestBench::<N>::with_instruction_set(lanes, all(), set);
     let mut out = vec![Vec::new(); lanes.len()];
     for com in sine(steps, 1e-6).chunks(100) {
@@ -262,7 +265,7 @@ fn prop_lane_count_and_instruction_set_change_no_bit_with_effects() {
     let same = with(&many);
     let alike: Vec<Lane> = (0..5).map(|i| lane(&same, 1.0 + i as f64)).collect();
     lanes.extend(alike);
-    let base = InstructionSet::Baseline;
+    let base = InstructionSet::BASELINE;
     let truth: Vec<Vec<u64>> = lanes
         .iter()
         .map(|l| bits::<1>(std::slice::from_ref(l), 4000, base).remove(0))

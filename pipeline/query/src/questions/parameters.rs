@@ -5,18 +5,18 @@ use crate::fleet::{self, Fleet, floats, texts};
 use crate::{Table, stats};
 use anyhow::Result;
 use polars::prelude::*;
-use schemas::feature::{Feature, RawFeatures};
+use schemas::feature::Raw;
 use std::collections::HashMap;
 use std::path::Path;
 
 /// Raw features without the witnesses: over the healthy run P3 is 1 and the speed loss 0 in every actuator.
-const COLUMNS: &[&str] = RawFeatures::COLUMNS
-    .split_at(RawFeatures::COUNT - Feature::WITNESSES.len())
-    .0;
+fn columns() -> Vec<&'static str> {
+    Raw::locating().map(Raw::column).collect()
+}
 
 pub fn reads(dir: &Path) -> Result<Vec<LazyFrame>> {
     Ok(vec![
-        fleet::read(dir, COLUMNS, true, true)?,
+        fleet::read(dir, &columns(), true, true)?,
         Table::Actuators.scan(dir)?,
     ])
 }
@@ -25,7 +25,8 @@ pub fn reads(dir: &Path) -> Result<Vec<LazyFrame>> {
 /// parameter, `elasticity` (percent per percent, at the means), `share` of the variance that a straight line
 /// explains. The strongest first.
 pub fn answer(dir: &Path, frames: &[DataFrame]) -> Result<Answer> {
-    let fleet = Fleet::new(&frames[0], COLUMNS, dir)?;
+    let columns = columns();
+    let fleet = Fleet::new(&frames[0], &columns, dir)?;
     let drawn = &frames[1];
     let (names, name) = texts(drawn, "actuator", dir)?;
     let row: HashMap<&str, usize> = name
@@ -84,7 +85,7 @@ pub fn answer(dir: &Path, frames: &[DataFrame]) -> Result<Answer> {
     let point = |plane: usize| &fleet.points[fleet.planes[plane].start];
     table(
         vec![
-            words("feature", rows.iter().map(|r| COLUMNS[r.1])),
+            words("feature", rows.iter().map(|r| columns[r.1])),
             words("sequence", rows.iter().map(|r| point(r.0).sequence.as_str())),
             numbers("rest_angle_rad", rows.iter().map(|r| point(r.0).rest_angle_rad)),
             words("parameter", rows.iter().map(|r| parameters[r.2])),

@@ -6,49 +6,44 @@ use crate::stats;
 use anyhow::Result;
 use polars::prelude::*;
 use rayon::prelude::*;
-use schemas::feature::Feature;
+use schemas::feature::{Feature, Form, Raw, RawFeatures};
 use std::path::Path;
-
-/// Columns beside the seven features: what their standard deviations are formed from.
-const MORE: [&str; 7] = [
-    "p3_rad",
-    "mean_speed_sd_rad_per_s",
-    "ripple_sd_rad_per_s",
-    "p2_sd_a",
-    "p3_sd_rad",
-    "rise_sd_s",
-    "current_rms_sd_a",
-];
 
 /// Width of the fault plane along FSJ and zeta, by which both effects are compared.
 const WIDTH: [f64; 2] = [4.0, 0.5];
 
+/// The features, and what their standard deviations are formed from.
 fn columns() -> Vec<&'static str> {
-    Feature::ALL.iter().map(|f| f.key()).chain(MORE).collect()
+    let mut names = Feature::ALL.map(Feature::key).to_vec();
+    let more = Raw::locating().flat_map(|r| [r.column(), r.deviation()]);
+    // some features are raw ones
+    names.extend(more.filter(|n| !Feature::ALL.iter().any(|f| f.key() == *n)));
+    names
 }
 
 pub fn reads(dir: &Path) -> Result<Vec<LazyFrame>> {
     Ok(vec![fleet::read(dir, &columns(), true, false)?])
 }
 
-/// Measured standard deviation of a feature in row `i` of the columns that [`reads`] names.
-fn deviation(columns: &[Vec<f64>], feature: Feature, i: usize) -> f64 {
-    let value = |f: Feature| columns[f as usize][i];
-    let more = |k: usize| columns[Feature::ALL.len() + k][i];
-    match feature {
-        // P1^2 = speed loss^2 + ripple^2
-        Feature::P1 => {
-            let squares = (value(Feature::Ripple) * more(2)).hypot(value(Feature::SpeedLoss) * more(1));
-            squares / value(Feature::P1).abs().max(1e-12)
+/// Measured standard deviation of a feature by row of the columns that [`reads`] names; NaN where it is not known.
+fn deviation(feature: Feature, columns: &[Vec<f64>]) -> impl Fn(usize) -> f64 {
+    let names = self::columns();
+    let column = |name: &str| &columns[names.iter().position(|n| *n == name).expect("one of the columns")];
+    // the feature by which the nominal run is known
+    let tells = |raw| move |f: &Feature| [Form::Ratio(raw), Form::Loss(raw)].contains(&f.form());
+    let one = |raw: Raw| {
+        let over = Feature::ALL.into_iter().find(tells(raw));
+        let over = over.map(|f| (f.form(), column(f.key())));
+        (raw, column(raw.column()), column(raw.deviation()), over)
+    };
+    let formed_from: Vec<_> = feature.form().raws().map(one).collect();
+    move |i| {
+        let [mut raw, mut sd, mut nominal] = [RawFeatures::default(); 3];
+        for &(r, values, deviations, over) in &formed_from {
+            (raw[r], sd[r]) = (Some(values[i]), Some(deviations[i]));
+            nominal[r] = over.and_then(|(form, x)| form.nominal(values[i], x[i]));
         }
-        Feature::P2 => more(3),
-        // P3 is p3_rad over that of the healthy run
-        Feature::P3 => more(4) * value(Feature::P3) / more(0),
-        Feature::Ripple => more(2),
-        Feature::SpeedLoss => more(1),
-        Feature::Rise => more(5),
-        Feature::CurrentRms => more(6),
-        _ => f64::NAN,
+        feature.deviation(&raw, &sd, &nominal)
     }
 }
 
@@ -106,7 +101,7 @@ struct Cells {
     squares: Vec<(f64, usize)>,
 }
 
-fn cells(fleet: &Fleet, feature: Feature, steps: &[Step], actuators: &Groups) -> Cells {
+fn cells(fleet: &Fleet, place: usize, steps: &[Step], actuators: &Groups) -> Cells {
     let count = fleet.planes.len() * region::COUNT;
     let mut out = Cells {
         slopes: vec![Default::default(); count],
@@ -118,14 +113,15 @@ fn cells(fleet: &Fleet, feature: Feature, steps: &[Step], actuators: &Groups) ->
             home[i] = region::of(fleet.points[i].fsj, fleet.points[i].zeta).map(|r| cell(plane, r));
         }
     }
+    let deviation = deviation(Feature::ALL[place], &fleet.values);
     for (i, &p) in fleet.point.iter().enumerate() {
-        let sd = deviation(&fleet.values, feature, i);
+        let sd = deviation(i);
         if let (Some(cell), false) = (home[p as usize], sd.is_nan()) {
             out.squares[cell].0 += sd * sd;
             out.squares[cell].1 += 1;
         }
     }
-    let values = actuators.gather(&fleet.values[feature as usize]);
+    let values = actuators.gather(&fleet.values[place]);
     let points = actuators.gather(&fleet.point);
     let mut map = vec![f64::NAN; fleet.points.len()];
     let mut sums = vec![[(0.0, 0u32); 2]; count];
@@ -161,9 +157,9 @@ pub fn answer(dir: &Path, frames: &[DataFrame]) -> Result<Answer> {
     let fleet = Fleet::new(&frames[0], &columns(), dir)?;
     let steps = steps(&fleet);
     let actuators = fleet.by_actuator();
-    let all: Vec<Cells> = Feature::ALL
-        .par_iter()
-        .map(|&f| cells(&fleet, f, &steps, &actuators))
+    let all: Vec<Cells> = (0..Feature::ALL.len())
+        .into_par_iter()
+        .map(|k| cells(&fleet, k, &steps, &actuators))
         .collect();
     let mut rows: Vec<(Feature, usize, [f64; 9])> = Vec::new();
     let mut regions: Vec<usize> = Vec::new();

@@ -332,12 +332,12 @@ fn what_is_missing_is_said_in_one_line() {
         e.contains("table `features`") && e.contains("ema dataset make") && !e.contains('\n'),
         "{e}"
     );
-    // the features of `ema simulate` name no actuator
+    // a table of something else
     let one = df!("run" => [0u64], "fsj" => [1.0], "zeta" => [0.0], "rest_angle_rad" => [0.0],
         "mean_speed_rad_per_s" => [1.0], "ripple_rad_per_s" => [0.1], "p3_rad" => [1e-5]);
     write(&dir.path().join("features/block-0000.parquet"), one.unwrap());
     let e = why(Question::FaultLevels, None);
-    assert!(e.contains("no column") && e.contains("fleet"), "{e}");
+    assert!(e.contains("no column") && e.contains("features of a dataset"), "{e}");
     assert!(why(Question::MapDrift, None).contains("--with"));
     assert!(why(Question::Coverage, Some(dir.path())).contains("--with"));
     assert!(why(Question::MapDrift, Some(Path::new("nowhere"))).contains("nowhere"));

@@ -118,41 +118,19 @@ fn folders_names_become_text_and_the_equivalent_current_is_formed() {
 }
 
 #[test]
-fn the_dataset_of_one_actuator_stays_as_it_was() {
+fn the_dataset_of_one_actuator_is_like_any_other() {
     let dir = tempdir().unwrap();
-    telemetry(&dir.path().join("runs/run-000000.parquet"), 0);
-    let features = df!(
-        "run" => [0u64, 1, 2, 3],
-        "fsj" => [1.0, 3.0, 1.0, 3.0],
-        "zeta" => [0.0, 0.2, 0.0, 0.2],
-        "rest_angle_rad" => [0.0, 0.0, 0.5, 0.5],
-        "mean_speed_rad_per_s" => [1.2, 1.16, 1.0, 0.9],
-        "ripple_rad_per_s" => [0.01, 0.03, 0.02, 0.0],
-        "p3_rad" => [1e-5, 3e-5, 2e-5, 8e-5],
-    );
-    write(&dir.path().join("features/block-0000.parquet"), features.unwrap());
+    telemetry(&dir.path().join(place("reference")), 0);
     let maps = df!("feature" => ["p1", "p1"], "fsj" => [1.0, 2.0], "zeta" => [0.0, 0.0], "value" => [0.1, 0.2]);
-    write(&dir.path().join("maps.parquet"), maps.unwrap());
-    let frame = query(dir.path(), "SELECT * FROM features ORDER BY run").unwrap();
-    let names: Vec<&str> = frame.get_column_names().iter().map(|n| n.as_str()).collect();
-    assert_eq!(names[7..], ["p1_rad_per_s", "speed_loss_rad_per_s", "p3"]);
-    let all = |c: &str| [0, 1, 2, 3].map(|i| number(&frame, c, i));
-    for (column, right) in [
-        ("p1_rad_per_s", [0.01, 0.05, 0.02, 0.1]),
-        ("speed_loss_rad_per_s", [0.0, 0.04, 0.0, 0.1]),
-        ("p3", [1.0, 3.0, 1.0, 4.0]),
-    ] {
-        all(column).into_iter().zip(right).for_each(|(x, r)| near(x, r));
-    }
-    let n = query(
-        dir.path(),
-        "SELECT COUNT(*) AS n, MIN(run) AS r FROM runs WHERE t_ns > 5000000",
-    )
-    .unwrap();
+    write(&dir.path().join("maps/part-0000.parquet"), maps.unwrap());
+    // the file that diagnoses are made with is no table
+    std::fs::write(dir.path().join("maps.parquet"), b"not read").unwrap();
+    let sql = "SELECT COUNT(*) AS n, MIN(run) AS r FROM runs WHERE t_ns > 5000000";
+    let n = query(dir.path(), sql).unwrap();
     assert_eq!(number(&n, "n", 0), 150.0);
     let m = query(dir.path(), "SELECT SUM(value) AS v FROM maps").unwrap();
     near(number(&m, "v", 0), 0.3);
-    // a table of a fleet is missing here, and the error says what makes it
+    // a table that was not made yet is missing here, and the error says what makes it
     let e = format!("{:#}", query(dir.path(), "SELECT * FROM diagnoses").unwrap_err());
     assert!(
         e.contains("table `diagnoses`") && e.contains("ema dataset diagnose"),
@@ -163,6 +141,10 @@ fn the_dataset_of_one_actuator_stays_as_it_was() {
     let empty = tempdir().unwrap();
     let e = format!("{:#}", query(empty.path(), "SELECT 1 FROM runs").unwrap_err());
     assert!(e.contains("none of its tables"), "{e}");
+    // the layout of version 0.1 is refused, and the command that makes a new dataset named
+    std::fs::write(empty.path().join("plan.txt"), "plan 0123\n").unwrap();
+    let e = format!("{:#}", crate::tables::refuse_old(empty.path()).unwrap_err());
+    assert!(e.contains("plan.txt") && e.contains("ema simulate --out NEW"), "{e}");
 }
 
 #[test]
