@@ -346,7 +346,7 @@ impl Diagnoser {
 
     fn area_about(&self, values: &Row, best: &Estimate) -> Option<Area> {
         let reach = self.reach[self.estimator.quadrant(best.fsj, best.zeta)];
-        let (joint, limits) = self.estimator.set(values, best, reach);
+        let (joint, limits) = self.estimator.confidence_set(values, best, reach);
         let any = [(f64::NEG_INFINITY, f64::INFINITY); MOST];
         let paving = Paver::new().pave(self.estimator.lattice(), &joint, &any, &limits, &Goal::default())?;
         Some(area(paving, (best.misfit + reach * reach).sqrt()))
@@ -517,9 +517,9 @@ impl Diagnoser {
         })
     }
 
-    /// Response surfaces and misfits of samples need what the maps say at a pair: feature, map, stated
+    /// Features that the maps predict at a pair, the joint ones and the witnesses: feature, value, stated
     /// uncertainty.
-    pub fn expected(&self, fsj: f64, zeta: f64) -> Vec<(Feature, f64, f64)> {
+    pub fn predicted(&self, fsj: f64, zeta: f64) -> Vec<(Feature, f64, f64)> {
         let at = self.estimator.lattice().at(fsj, zeta);
         let own = |f: &Feature| self.maps.map(*f).expect("of this set").uncertainty(fsj, zeta);
         let features = self.estimator.features().iter();

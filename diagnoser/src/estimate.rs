@@ -449,7 +449,7 @@ impl Estimator {
     }
 
     /// The set of pairs whose misfit is at most `reach^2` above that of the best pair, within the maps.
-    pub fn set(&self, values: &Row, best: &Estimate, reach: f64) -> (Joint, Limits) {
+    pub fn confidence_set(&self, values: &Row, best: &Estimate, reach: f64) -> (Joint, Limits) {
         let threshold = best.misfit + reach * reach;
         let offset = self.whitened(values, best, &[0.0; MOST]);
         let joint = Joint {

@@ -226,7 +226,7 @@ impl Campaign {
         let bare = Diagnoser::uncalibrated(set.clone());
         let sample = |(u, raw): (&Unit, &RawFeatures)| {
             let features = set.features(raw);
-            let expected = bare.expected(u.fault.fsj, u.fault.zeta).into_iter();
+            let expected = bare.predicted(u.fault.fsj, u.fault.zeta).into_iter();
             let residual = expected.map(|(f, map, own)| features.get(f).map(|x| (f, x - map, own)));
             Some(Sample {
                 fsj: u.fault.fsj,

@@ -1,4 +1,16 @@
 //! What the end-to-end and validation tests share.
+//!
+//! - [`blind`]: "measured" data with a hidden effect, made by equations of its own
+//! - [`campaign`]: blind cases by the hundred, studied, scored and reported
+//! - [`coverage`]: what share of fresh simulated tests lies in its intervals
+//! - [`fleet`]: datasets made by workers that are killed, stopped and started again
+//! - [`s3`], [`slurm`]: a server and a cluster of our own, gone with the test
+//! - [`stream`]: processes on a stream of their own
+//! - [`soak`]: a stream whose processes are killed at random moments
+//! - here: runs of the reference actuator, and columns of a CSV file
+//!
+//! Next to it stand the programs under test (`main.rs`, `diagnoser.rs`, `query.rs`, `sim_worker.rs`) and the benches of
+//! diagnosis and discrepancy (`bin`). What tests of programs share besides is in `tests/common`.
 
 pub mod blind;
 pub mod campaign;

@@ -1,45 +1,13 @@
 //! `ema maps --quality`, `ema calibrate` and what they do to `ema diagnose`, as processes.
 
+mod common;
+
+use common::process::*;
 use serde_json::Value;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
-
-fn ema(args: &[&str]) -> Command {
-    let mut c = Command::new(env!("CARGO_BIN_EXE_ema-under-test"));
-    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("ema-cache");
-    c.env("EMA_CACHE_DIR", cache).stdin(Stdio::null()).args(args);
-    c
-}
-
-fn run(args: &[&str]) -> Output {
-    ema(args).output().unwrap()
-}
-
-fn ok(args: &[&str]) -> String {
-    let o = run(args);
-    assert!(o.status.success(), "{args:?}: {}", String::from_utf8_lossy(&o.stderr));
-    String::from_utf8(o.stdout).unwrap()
-}
-
-fn json(args: &[&str]) -> Value {
-    serde_json::from_str(&ok(args)).unwrap()
-}
-
-fn refused(args: &[&str], words: &[&str]) {
-    let o = run(args);
-    let err = String::from_utf8_lossy(&o.stderr).into_owned();
-    assert_eq!(o.status.code(), Some(4), "{args:?}: {err}");
-    let line = err.trim_end().lines().last().unwrap_or("");
-    for w in words {
-        assert!(line.contains(w), "no `{w}` in: {line}");
-    }
-}
-
-fn text(p: &Path) -> &str {
-    p.to_str().unwrap()
-}
 
 /// A dataset with maps and both calibrations, and a recording; made once.
 fn dataset() -> &'static (PathBuf, PathBuf) {

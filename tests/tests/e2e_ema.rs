@@ -1,61 +1,17 @@
 //! `ema` as a process: datasets that survive kills, diagnoses, refusals.
 
+mod common;
+
+use common::process::*;
 use ema_tests::programs;
 use schemas::recording::Recording;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
-use std::sync::OnceLock;
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
-const EMA: &str = env!("CARGO_BIN_EXE_ema-under-test");
-const QUERY: &str = env!("CARGO_BIN_EXE_query-under-test");
-
-/// `ema`, with `ema-query` beside it.
-fn program() -> &'static Path {
-    static ONCE: OnceLock<PathBuf> = OnceLock::new();
-    ONCE.get_or_init(|| {
-        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("programs");
-        programs(&dir, &[("ema", EMA), ("ema-query", QUERY)]);
-        dir.join("ema")
-    })
-}
-
-fn ema(cache: &Path) -> Command {
-    let mut c = Command::new(program());
-    c.env("EMA_CACHE_DIR", cache).stdin(Stdio::null());
-    c
-}
-
-/// One cache of maps for all tests: made once.
-fn cache() -> PathBuf {
-    Path::new(env!("CARGO_TARGET_TMPDIR")).join("ema-cache")
-}
-
-fn run(args: &[&str]) -> Output {
-    ema(&cache()).args(args).output().unwrap()
-}
-
-fn ok(args: &[&str]) -> String {
-    let o = run(args);
-    assert!(o.status.success(), "{args:?}: {}", String::from_utf8_lossy(&o.stderr));
-    String::from_utf8(o.stdout).unwrap()
-}
-
-/// Runs, expects a refusal with exit code 4 in one line that holds all of `words`.
-fn refused(args: &[&str], words: &[&str]) {
-    let o = run(args);
-    let err = String::from_utf8_lossy(&o.stderr).into_owned();
-    let line = err.trim_end().lines().last().unwrap_or("").to_string();
-    assert_eq!(o.status.code(), Some(4), "{args:?}: {err}");
-    assert!(!err.contains("panicked"), "{err}");
-    assert!(line.starts_with("ema: "), "{err}");
-    for w in words {
-        assert!(line.contains(w), "no `{w}` in: {line}");
-    }
-}
-
+/// Of a diagnosis, which may be incomplete.
 fn json(args: &[&str]) -> Value {
     let o = run(args);
     assert!(
@@ -64,10 +20,6 @@ fn json(args: &[&str]) -> Value {
         String::from_utf8_lossy(&o.stderr)
     );
     serde_json::from_slice(&o.stdout).unwrap()
-}
-
-fn text(p: &Path) -> &str {
-    p.to_str().unwrap()
 }
 
 /// Names and contents of all visible files below a folder, leaving out the lock.
@@ -109,12 +61,12 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
         .map(String::from)
         .to_vec()
     };
-    let o = ema(&cache()).args(args(&whole)).output().unwrap();
+    let o = ema(&[]).args(args(&whole)).output().unwrap();
     assert!(o.status.success(), "{}", String::from_utf8_lossy(&o.stderr));
     let mut kills = 0;
     for wait in [150, 320, 240, 410, 90, 350, 280, 500] {
         // one thread: slow enough to be killed on any machine
-        let mut child = ema(&cache())
+        let mut child = ema(&[])
             .args(args(&killed))
             .args(["--jobs", "1"])
             .stdout(Stdio::null())
@@ -138,7 +90,7 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
     }
     println!("{kills} kills");
     assert!(kills >= 1);
-    let o = ema(&cache()).args(args(&killed)).output().unwrap();
+    let o = ema(&[]).args(args(&killed)).output().unwrap();
     assert!(o.status.success(), "{}", String::from_utf8_lossy(&o.stderr));
     let (a, b) = (contents(&whole), contents(&killed));
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
@@ -201,7 +153,7 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
 fn e2e_ctrl_c_leaves_things_clean() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("d");
-    let child = ema(&cache())
+    let child = ema(&[])
         .args([
             "simulate",
             "--grid",

@@ -1,51 +1,15 @@
 //! Fleet datasets with the program `ema`: plan, make, verify, maps, diagnose, export, copy, query; and how Python reads
 //! them.
 
+mod common;
+
+use common::process::*;
 use ema_tests::fleet::{files, same};
-use ema_tests::programs;
 use ema_tests::s3::S3Server;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
-
-const EMA: &str = env!("CARGO_BIN_EXE_ema-under-test");
-const QUERY: &str = env!("CARGO_BIN_EXE_query-under-test");
-
-/// `ema`, with `ema-query` beside it.
-fn program() -> &'static Path {
-    static ONCE: OnceLock<PathBuf> = OnceLock::new();
-    ONCE.get_or_init(|| {
-        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("programs");
-        programs(&dir, &[("ema", EMA), ("ema-query", QUERY)]);
-        dir.join("ema")
-    })
-}
-
-fn ema(args: &[&str]) -> Command {
-    let mut c = Command::new(program());
-    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("ema-cache");
-    c.env("EMA_CACHE_DIR", cache).stdin(Stdio::null()).args(args);
-    c
-}
-
-fn run(args: &[&str]) -> Output {
-    ema(args).output().unwrap()
-}
-
-fn ok(args: &[&str]) -> String {
-    let o = run(args);
-    assert!(o.status.success(), "{args:?}: {}", String::from_utf8_lossy(&o.stderr));
-    String::from_utf8(o.stdout).unwrap()
-}
-
-fn json(args: &[&str]) -> Value {
-    serde_json::from_str(&ok(args)).unwrap()
-}
-
-fn text(p: &Path) -> &str {
-    p.to_str().unwrap()
-}
 
 /// Two aircraft of two actuators, the coarse grid, sensors, tests with telemetry; `seed` of the draws.
 fn plan(seed: u64) -> String {
@@ -262,11 +226,7 @@ fn e2e_a_dataset_is_copied_to_s3_and_checked_there() {
     let made = dataset();
     let server = S3Server::start();
     let url = server.url("copy");
-    let there = |args: &[&str]| {
-        let o = ema(args).envs(server.env()).output().unwrap();
-        assert!(o.status.success(), "{args:?}: {}", String::from_utf8_lossy(&o.stderr));
-        String::from_utf8(o.stdout).unwrap()
-    };
+    let there = |args: &[&str]| succeeded(ema(args).envs(server.env()));
     there(&["dataset", "copy", text(&made.data), &url]);
     assert!(there(&["dataset", "verify", &url]).contains("whole"));
     let asked = |place: &str| there(&["query", "coverage", "--data", place, "--format", "csv"]);

@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::process::cache;
 use common::*;
 use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain};
 use schemas::feature::Feature;

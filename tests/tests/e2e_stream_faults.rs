@@ -2,6 +2,7 @@
 
 mod common;
 
+use common::process::cache;
 use common::*;
 use ema_tests::stream::Program;
 use ema_tests::stream::TestDomain;

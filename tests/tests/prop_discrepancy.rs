@@ -1,6 +1,9 @@
 //! The discrepancy study on data of the blind generator: names, silence, closed loop, and the measured
 //! pitfalls of the method.
 
+mod common;
+
+use common::process::run;
 use ema_tests::blind::{self, Class, Forced, Setting, Spec};
 use pipeline::discrepancy::bench::Bench;
 use pipeline::discrepancy::findings::Findings;
@@ -12,12 +15,6 @@ use pipeline::discrepancy::{REFERENCE, study_file, study_into};
 use sim_worker::effect::EffectKind;
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-fn ema(args: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ema-under-test"));
-    command.args(args).output().unwrap()
-}
 
 /// A case of the servo in a folder: its bench file.
 fn hidden(dir: &Path, seed: u64, class: Class, forced: Vec<Forced>) -> PathBuf {
@@ -138,7 +135,7 @@ fn prop_faults_of_the_test_bench_come_out_as_what_they_are() {
     for (name, f, h) in [("a", 0.4, 0.4), ("b", 0.55, -0.3)] {
         let s = sequence(&format!("{name}.toml"), f, h);
         let out = dir.path().join(format!("{name}.parquet"));
-        let run = ema(&[
+        let run = run(&[
             "run",
             "--fsj",
             "3",
@@ -249,7 +246,7 @@ fn prop_bad_benches_are_told_in_one_line_with_the_likely_cause() {
 
 /// The one line with which a bench is refused.
 fn refused(bench: &Path) -> String {
-    let out = ema(&["discrepancy", "--bench", bench.to_str().unwrap()]);
+    let out = run(&["discrepancy", "--bench", bench.to_str().unwrap()]);
     let said = String::from_utf8_lossy(&out.stderr).into_owned();
     assert_eq!(out.status.code(), Some(4), "{said}");
     assert_eq!(said.trim().lines().count(), 1, "{said}");

@@ -1,5 +1,7 @@
-//! What the tests of the stream share: the programs, a recording and its offline diagnosis.
+//! What the tests of the programs share: `ema` as a process; for streams, a recording and its offline diagnosis.
 #![allow(dead_code)]
+
+pub mod process;
 
 use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain};
 use schemas::stream::frame::RunDescription;
@@ -7,29 +9,20 @@ use schemas::stream::publisher::{Delivery, FrameMut, Pass, Publisher};
 use schemas::telemetry::Collector;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::sync::OnceLock;
 use std::time::Duration;
 
 pub const LIMIT: Duration = Duration::from_secs(60);
 
-pub fn cache() -> PathBuf {
-    Path::new(env!("CARGO_TARGET_TMPDIR")).join("ema-cache")
-}
-
 pub fn ema(domain: &TestDomain, args: &[&str]) -> Command {
-    let mut c = Command::new(env!("CARGO_BIN_EXE_ema-under-test"));
-    c.env("EMA_CACHE_DIR", cache())
-        .env("EMA_DOMAIN", &domain.name)
-        .args(args);
+    let mut c = process::ema(args);
+    c.env("EMA_DOMAIN", &domain.name);
     c
 }
 
 pub fn ok(domain: &TestDomain, args: &[&str]) -> String {
-    let o = ema(domain, args).stdin(Stdio::null()).output().unwrap();
-    let err = String::from_utf8_lossy(&o.stderr).into_owned();
-    assert!(o.status.success(), "{args:?}: {err}");
-    String::from_utf8(o.stdout).unwrap()
+    process::succeeded(&mut ema(domain, args))
 }
 
 /// A recording with sensors and its offline diagnosis; made once, and with it the maps.
