@@ -4,7 +4,6 @@ mod common;
 
 use common::process::*;
 use ema_tests::programs;
-use schemas::recording::Recording;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,7 +21,7 @@ fn json(args: &[&str]) -> Value {
     serde_json::from_slice(&o.stdout).unwrap()
 }
 
-/// Names and contents of all visible files below a folder, leaving out the lock.
+/// Names and contents of all visible files below a folder.
 fn contents(dir: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut all = BTreeMap::new();
     let mut stack = vec![dir.to_path_buf()];
@@ -31,7 +30,7 @@ fn contents(dir: &Path) -> BTreeMap<String, Vec<u8>> {
             let p = e.path();
             if p.is_dir() {
                 stack.push(p);
-            } else if e.file_name() != ".lock" {
+            } else {
                 all.insert(
                     p.strip_prefix(dir).unwrap().display().to_string(),
                     std::fs::read(&p).unwrap(),
@@ -80,11 +79,10 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
         let _ = child.kill();
         child.wait().unwrap();
         // whatever is visible is whole
-        let runs = killed.join("runs");
-        for e in std::fs::read_dir(&runs).into_iter().flatten().flatten() {
-            let name = e.file_name().to_string_lossy().into_owned();
-            if !name.starts_with('.') {
-                assert_eq!(Recording::open(&e.path()).unwrap().rows, 3000, "{name}");
+        for (name, bytes) in contents(&killed) {
+            if name.ends_with(".parquet") && !name.contains("/tmp/") {
+                let end = &bytes[bytes.len().saturating_sub(4)..];
+                assert!(end == b"PAR1", "{name}");
             }
         }
     }
@@ -94,17 +92,21 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
     assert!(o.status.success(), "{}", String::from_utf8_lossy(&o.stderr));
     let (a, b) = (contents(&whole), contents(&killed));
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
-    assert_eq!(a.len(), 187 + 12 + 1);
+    // plan, manifest, actuators, features, and the telemetry of three parts of 64 runs
+    assert_eq!(a.len(), 1 + 1 + 1 + 1 + 3);
     assert!(a == b, "the same bytes");
     // another plan is refused, and nothing is touched
     refused(
         &["simulate", "--grid", "coarse", "--rate", "1000", "--out", text(&killed)],
-        &["plan", "an empty folder"],
+        &["fingerprint of the plan", "another place for the dataset"],
     );
     assert!(contents(&killed) == b);
-    // maps and queries on it
+    let whole = ok(&["dataset", "verify", text(&killed)]);
+    assert!(whole.contains("187 runs") && whole.contains("whole"), "{whole}");
+    // maps and queries on it; `ema dataset maps` is the same command
     let maps = ok(&["maps", text(&killed)]);
     assert!(maps.contains("ripple"), "{maps}");
+    assert_eq!(ok(&["dataset", "maps", text(&killed)]), maps);
     let n = ok(&[
         "query",
         "SELECT COUNT(*) AS n FROM runs",
@@ -124,10 +126,28 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
     ]);
     let first: Value = serde_json::from_str(&first).unwrap();
     assert_eq!(first[0]["p3"], 1.0);
-    // a recording of the dataset is located by the dataset's maps
-    let one = killed.join("runs/run-000093.parquet");
-    let d = json(&["diagnose", text(&one), "--maps", text(&killed), "--json"]);
+    let n = ok(&["query", "SELECT COUNT(*) AS n FROM maps WHERE feature = 'p1'", "--data", text(&killed), "--format", "csv"]);
+    assert_eq!(n.trim(), "n\n187");
+    // ready questions are for one actuator too
+    let levels = ok(&["query", "fault-levels", "--data", text(&killed), "--format", "csv"]);
+    assert!(levels.lines().count() == 1 + 4 * 187, "{levels}");
+    // a run of the dataset is located by the dataset's maps: from the dataset, from the file of its part, exported
+    let file = killed.join("telemetry/sequence=preflight/actuator=reference/part-0001.parquet");
+    let one = dir.path().join("one.parquet");
+    ok(&["dataset", "export", text(&killed), "--run", "93", "--out", text(&one)]);
+    let of = |args: &[&str]| {
+        let maps = ["--maps", text(&killed), "--json"];
+        json(&[&["diagnose"], args, &maps].concat())
+    };
+    let d = of(&[text(&killed), "--run", "93"]);
     assert_eq!(d["outcome"], "located", "{d}");
+    assert_eq!(of(&[text(&file), "--run", "93"]), d);
+    assert_eq!(of(&[text(&one)]), d);
+    let truth = (1.0 + 0.25 * f64::from(93 % 17), 0.05 * f64::from(93 / 17));
+    assert!((d["fsj"]["estimate"].as_f64().unwrap() - truth.0).abs() < 0.2, "{d}");
+    assert!((d["zeta"]["estimate"].as_f64().unwrap() - truth.1).abs() < 0.05, "{d}");
+    refused(&["diagnose", text(&killed)], &["187 runs", "--run NUMBER"]);
+    refused(&["diagnose", text(&killed), "--run", "187"], &["187", "0 to 186"]);
     // a torn file is refused, not read halfway
     let bytes = std::fs::read(&one).unwrap();
     let torn = dir.path().join("torn.parquet");
@@ -140,12 +160,28 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
             &(bytes.len() / 2).to_string(),
         ],
     );
-    // two writers at once: one is told
-    let lock = std::fs::File::options().write(true).open(killed.join(".lock")).unwrap();
-    lock.lock().unwrap();
-    let full: Vec<String> = args(&killed);
-    let full: Vec<&str> = full.iter().map(String::as_str).collect();
-    refused(&full, &["in use", "another process"]);
+    // two writers at once come to the same bytes
+    let both = dir.path().join("both");
+    let writers = [(); 2].map(|()| ema(&[]).args(args(&both)).stdout(Stdio::null()).spawn().unwrap());
+    for mut w in writers {
+        assert!(w.wait().unwrap().success());
+    }
+    assert!(contents(&both) == a, "the same bytes");
+    // a folder of version 0.1 is refused, and what makes a new one is named
+    let old = dir.path().join("old");
+    std::fs::create_dir_all(old.join("features")).unwrap();
+    std::fs::write(old.join("plan.txt"), "plan 0123456789abcdef\n").unwrap();
+    let o = text(&old);
+    for command in [
+        &["maps", o][..],
+        &["query", "SELECT 1 FROM features", "--data", o],
+        &["dataset", "verify", o],
+        &["simulate", "--grid", "coarse", "--out", o],
+        &["diagnose", o, "--run", "3"],
+    ] {
+        refused(command, &["plan.txt, a dataset of version 0.1", "ema simulate --out NEW"]);
+    }
+    assert_eq!(contents(&old).len(), 1);
 }
 
 #[cfg(unix)]
@@ -552,7 +588,7 @@ fn refuse_maps_of_another_actuator_rate_or_rest_angle() {
     );
     refused(
         &["maps", text(&data), "--actuator", text(&other)],
-        &["parameter fingerprint"],
+        &["--actuator", "an actuator of the dataset", "reference"],
     );
     // a torn maps file
     let file = data.join("maps.parquet");
