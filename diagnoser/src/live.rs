@@ -247,9 +247,7 @@ impl Live {
                 run.rate_hz
             ));
         }
-        let equivalent = ![Channel::IA, Channel::IB, Channel::IC]
-            .iter()
-            .all(|c| run.channels.contains(*c));
+        let equivalent = FeaturePlan::lacks_phases(|c| run.channels.contains(c));
         let id = (
             track.header().parameters,
             track.header().sequence,

@@ -55,17 +55,8 @@ pub fn setup_of(
     sequence: TestSequence,
     sensors: Option<SensorModel>,
 ) -> Result<TestSetup> {
-    let kind = &header.kind;
-    let setup = TestSetup {
-        actuator,
-        sequence,
-        sensors,
-        rate_hz: kind.rate_hz,
-        rest_angle_rad: kind.rest_angle_rad,
-        load_n_m: kind.load_n_m.unwrap_or(0.0),
-        equivalent_current: kind.equivalent_current,
-    };
-    match setup.kind().difference(kind) {
+    let setup = TestSetup::of(&header.kind, actuator, sequence, sensors);
+    match setup.kind().difference(&header.kind) {
         None => Ok(setup),
         Some(d) => {
             let option = match d.place {

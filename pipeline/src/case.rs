@@ -165,7 +165,6 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
     // the rotor angle at rest is that of the first sample of the test, if it is there
     let begins = measured.telemetry.first == 1;
     let angles = measured.telemetry.column(Channel::ThetaM).filter(|_| begins);
-    let phases = [Channel::IA, Channel::IB, Channel::IC];
     let mut setup = TestSetup {
         actuator,
         sequence,
@@ -173,7 +172,7 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         rate_hz: measured.rate_hz,
         rest_angle_rad: angles.map_or(0.0, |t| t[0]).rem_euclid(std::f64::consts::TAU),
         load_n_m: 0.0,
-        equivalent_current: phases.iter().any(|c| measured.telemetry.column(*c).is_none()),
+        equivalent_current: FeaturePlan::lacks_phases(|c| measured.telemetry.column(c).is_some()),
     };
     let diagnoser = chosen_maps(path, &measured, settings, &setup)?;
     let maps = &diagnoser.maps;

@@ -398,13 +398,12 @@ mod tests {
 
     fn setup() -> TestSetup {
         TestSetup {
-            actuator: Arc::new(ActuatorParameters::reference()),
-            sequence: catalogue::sequence("preflight").unwrap(),
             sensors: catalogue::sensors("reference").unwrap(),
-            rate_hz: 1e4,
-            rest_angle_rad: 0.0,
-            load_n_m: 0.0,
-            equivalent_current: false,
+            ..TestSetup::new(
+                Arc::new(ActuatorParameters::reference()),
+                catalogue::sequence("preflight").unwrap(),
+                1e4,
+            )
         }
     }
 

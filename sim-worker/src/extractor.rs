@@ -143,6 +143,13 @@ impl FeaturePlan {
         }
     }
 
+    /// Whether P2 must come from i_eq, because phase currents are missing.
+    ///
+    /// * `has` whether a channel is there
+    pub fn lacks_phases(has: impl Fn(Channel) -> bool) -> bool {
+        ![Channel::IA, Channel::IB, Channel::IC].into_iter().all(has)
+    }
+
     /// P2 from i_eq, for telemetry without phase currents.
     pub fn equivalent_current(&self) -> bool {
         self.equivalent_current

@@ -44,6 +44,24 @@ impl TestSetup {
         }
     }
 
+    /// A test of a kind, of these objects; without a load where none is named.
+    pub fn of(
+        kind: &TestKind,
+        actuator: Arc<ActuatorParameters>,
+        sequence: TestSequence,
+        sensors: Option<SensorModel>,
+    ) -> Self {
+        Self {
+            actuator,
+            sequence,
+            sensors,
+            rate_hz: kind.rate_hz,
+            rest_angle_rad: kind.rest_angle_rad,
+            load_n_m: kind.load_n_m.unwrap_or(0.0),
+            equivalent_current: kind.equivalent_current,
+        }
+    }
+
     /// All that maps depend on.
     pub fn kind(&self) -> TestKind {
         TestKind {

@@ -126,7 +126,14 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
     ]);
     let first: Value = serde_json::from_str(&first).unwrap();
     assert_eq!(first[0]["p3"], 1.0);
-    let n = ok(&["query", "SELECT COUNT(*) AS n FROM maps WHERE feature = 'p1'", "--data", text(&killed), "--format", "csv"]);
+    let n = ok(&[
+        "query",
+        "SELECT COUNT(*) AS n FROM maps WHERE feature = 'p1'",
+        "--data",
+        text(&killed),
+        "--format",
+        "csv",
+    ]);
     assert_eq!(n.trim(), "n\n187");
     // ready questions are for one actuator too
     let levels = ok(&["query", "fault-levels", "--data", text(&killed), "--format", "csv"]);
@@ -179,7 +186,10 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
         &["simulate", "--grid", "coarse", "--out", o],
         &["diagnose", o, "--run", "3"],
     ] {
-        refused(command, &["plan.txt, a dataset of version 0.1", "ema simulate --out NEW"]);
+        refused(
+            command,
+            &["plan.txt, a dataset of version 0.1", "ema simulate --out NEW"],
+        );
     }
     assert_eq!(contents(&old).len(), 1);
 }

@@ -72,15 +72,8 @@ fn make_maps(
     let (Some(actuator), Some(sequence)) = (actuator, sequence) else {
         return Err(no_maps(key, "actuator or sequence is unknown"));
     };
-    let setup = TestSetup {
-        actuator: actuator.clone(),
-        sequence: sequence.clone(),
-        sensors: models.iter().find(|m| m.fingerprint() == kind.sensors).cloned(),
-        rate_hz: kind.rate_hz,
-        rest_angle_rad: kind.rest_angle_rad,
-        load_n_m: 0.0,
-        equivalent_current: kind.equivalent_current,
-    };
+    let sensors = models.iter().find(|m| m.fingerprint() == kind.sensors).cloned();
+    let setup = TestSetup::of(kind, actuator.clone(), sequence.clone(), sensors);
     let grid = grid.clone();
     let request = MapRequest { setup, grid };
     maps::cached(&request, choice, &Vec::new()).map_err(|e| format!("{e:#}"))
