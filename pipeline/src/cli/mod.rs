@@ -21,13 +21,16 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 
+/// Version and source revision.
+const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("EMA_COMMIT"), ")");
+
 const EXIT_CODES: &str = "Exit codes: 0 done (a diagnosis that finds no fault pair is a finding, not an error) \
     | 1 unforeseen failure, for example a full disk | 2 wrong command line \
     | 3 finished with loss: the diagnosis is incomplete | 4 bad input: one line says file, place, value found and what \
     is allowed | 130 interrupted; what is done is kept";
 
 #[derive(Parser)]
-#[command(name = "ema", version, about = "Prognostics of electromechanical actuators with failure maps", after_help = EXIT_CODES)]
+#[command(name = "ema", version = VERSION, about = "Prognostics of electromechanical actuators with failure maps", after_help = EXIT_CODES)]
 struct Cli {
     #[command(subcommand)]
     command: Commands,
