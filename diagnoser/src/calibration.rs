@@ -40,11 +40,13 @@ pub const WITNESS_GATE: f64 = 5.0;
 pub struct Calibration {
     /// name and half-widths of the spread from unit to unit
     pub spread: String,
+    /// half-width of each cause's uniform distribution, in the units of [`Spread::half_width`]
     pub half_width: [f64; Cause::COUNT],
     /// runs that the scores come from
     pub runs: usize,
     /// further runs that the response surfaces come from
     pub surface_runs: usize,
+    /// of the units drawn and of their sensor noise
     pub seed: u64,
     /// parameters of the actuator and rest angle of the maps that it belongs to
     pub maps: String,
@@ -57,10 +59,12 @@ pub struct Calibration {
     pub misfits: Vec<f64>,
     /// greatest deviation of a witness in each test, in standard uncertainties, rising
     pub deviations: Vec<f64>,
+    /// response of the features to the causes; none without spread
     pub surfaces: Option<ResponseSurfaces>,
 }
 
 impl Calibration {
+    /// The spread from unit to unit that it allows for.
     pub fn spread(&self) -> Spread {
         Spread {
             name: self.spread.clone(),
@@ -109,6 +113,10 @@ impl Calibration {
         format!("calibration-{spread}.json")
     }
 
+    /// Writes it as one JSON object, whole or not at all.
+    ///
+    /// # Errors
+    /// Refuses where the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string(self).expect("plain data");
         write_whole(path, text.as_bytes())
@@ -117,6 +125,9 @@ impl Calibration {
     /// Refuses a torn file and one of other maps.
     ///
     /// * `maps` fingerprint of the maps that it must belong to
+    ///
+    /// # Errors
+    /// Refuses where the file cannot be read, is torn, or belongs to other maps.
     pub fn load(path: &Path, maps: &str) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
         let c: Self = serde_json::from_str(&text).map_err(|e| Error::torn(path, e))?;

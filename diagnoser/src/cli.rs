@@ -25,11 +25,16 @@ pub struct DomainArg {
 }
 
 impl DomainArg {
+    /// The domain of the shared memory.
+    ///
+    /// # Errors
+    /// Refuses a name with other characters than letters, digits and -.
     pub fn open(&self) -> Result<Domain> {
         Domain::new(&self.domain)
     }
 }
 
+/// Arguments of the live diagnoser, the same in both programs.
 #[derive(Args, Clone, Debug)]
 pub struct LiveArgs {
     #[command(flatten)]
@@ -77,6 +82,9 @@ pub struct LiveArgs {
 
 impl LiveArgs {
     /// What frames may name.
+    ///
+    /// # Errors
+    /// Refuses a file that cannot be read or holds a value that is not allowed.
     pub fn known(&self) -> Result<(Known, Vec<sim_worker::sensor::SensorModel>)> {
         let mut actuators = vec![Arc::new(ActuatorParameters::reference())];
         for path in &self.actuator {
@@ -105,6 +113,9 @@ impl LiveArgs {
     }
 
     /// What intervals are to be made for.
+    ///
+    /// # Errors
+    /// Refuses a spread that is neither built in nor a valid TOML file.
     pub fn choice(&self) -> Result<Choice> {
         Ok(Choice {
             spread: catalogue::spread(&self.spread)?,
@@ -113,6 +124,9 @@ impl LiveArgs {
     }
 
     /// Runs until Ctrl-C (`stop`) or until enough diagnoses have come; returns the exit code.
+    ///
+    /// # Errors
+    /// Refuses a timeout of no length, and what [`receive`] refuses.
     pub fn run(&self, known: Known, maps: MapSource, stop: &Arc<AtomicBool>) -> Result<u8> {
         if !(self.timeout.is_finite() && self.timeout > 0.0 && self.timeout < 1e6) {
             let allowed = "a number of seconds above 0";

@@ -9,14 +9,19 @@ use schemas::fault::Interval;
 /// FSJ interval on one curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Strip {
+    /// of the curve
     pub zeta: f64,
+    /// where all bands hold the values measured, unlimited on a side that no band limits
     pub fsj: Interval,
 }
 
 /// A map, the value measured for it and the half-width of the band at each grid point.
 pub struct Cut<'a> {
+    /// the map that is cut
     pub map: &'a FailureMap,
+    /// measured, in the feature's unit
     pub value: f64,
+    /// in the feature's unit, zeta outer, FSJ inner
     pub half_width: Vec<f64>,
 }
 

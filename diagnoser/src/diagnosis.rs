@@ -29,6 +29,7 @@ pub struct Area {
     pub boxes: Vec<PavedBox>,
     /// hull of all parts, guaranteed to hold the area
     pub fsj: Interval,
+    /// the same along zeta
     pub zeta: Interval,
     /// centroid (FSJ, zeta)
     pub centroid: (f64, f64),
@@ -36,6 +37,7 @@ pub struct Area {
     pub size: f64,
     /// enclosed from within and from without
     pub inner: f64,
+    /// the same from without
     pub outer: f64,
     /// half-width of the bands in standard uncertainties
     pub band: f64,
@@ -55,19 +57,25 @@ impl Area {
 /// Result of a diagnosis. Not being able to locate a fault is a finding, not an error.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
+    /// These pairs fit all maps, and no witness speaks against them.
     Located(Area),
     /// No fault pair explains the features; these maps contradict each other.
     Unexplained {
+        /// maps that the others agree without, or witnesses
         contradicting: Vec<Feature>,
+        /// in words, for people
         reason: String,
     },
     /// The faults lie beyond the maps; the reason says on which side.
     OutOfRange {
+        /// which fault lies beyond which end, in words
         reason: String,
     },
     /// Something is missing; the area that the rest allows, if there is one.
     Incomplete {
+        /// what is missing, in words
         reason: String,
+        /// more features could make it smaller
         area: Option<Area>,
     },
 }
@@ -75,10 +83,13 @@ pub enum Outcome {
 /// A diagnosis: outcome and the features it stands on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Diagnosis {
+    /// what was found
     pub outcome: Outcome,
+    /// measured, over the maps' nominal run
     pub features: Features,
     /// share of tests whose true pair lies in the intervals, as calibrated or designed
     pub coverage: f64,
+    /// whether the reach comes from a calibration; else it is assumed
     pub calibrated: bool,
     /// misfit of the best fault pair, and from which on a test is unexplained
     pub misfit: Option<(f64, f64)>,
@@ -108,6 +119,7 @@ impl Outcome {
         }
     }
 
+    /// The area of possible pairs, where there is one.
     pub fn area(&self) -> Option<&Area> {
         match self {
             Outcome::Located(a) => Some(a),
@@ -116,6 +128,7 @@ impl Outcome {
         }
     }
 
+    /// Why there is no located area, in words; empty where there is one.
     pub fn reason(&self) -> &str {
         match self {
             Outcome::Located(_) => "",
@@ -131,6 +144,7 @@ impl Outcome {
 pub struct Score {
     /// how far its area must reach so that the intervals hold the true pair, in standard uncertainties
     pub reach: f64,
+    /// `Q` of the best pair
     pub misfit: f64,
     /// greatest deviation of a witness, in standard uncertainties
     pub deviation: f64,
@@ -141,7 +155,9 @@ pub struct Score {
 /// One actuator's maps made ready to diagnose: prepared once, then a diagnosis takes microseconds.
 #[derive(Clone, Debug)]
 pub struct Diagnoser {
+    /// what it diagnoses by
     pub maps: FailureMapSet,
+    /// how far its areas reach, and what units differ by; none: one known unit, an assumed reach
     pub calibration: Option<Calibration>,
     coverage: f64,
     estimator: Estimator,
@@ -154,6 +170,9 @@ pub struct Diagnoser {
 impl Diagnoser {
     /// * `coverage` wanted, above 0 and below 1
     /// * `known` of the unit: refused where the calibration has no response to that cause
+    ///
+    /// # Errors
+    /// Refuses a coverage outside 0 to 1, a set with too many maps, and a known cause without response.
     pub fn new(maps: FailureMapSet, calibration: Option<Calibration>, coverage: f64, known: &Known) -> Result<Self> {
         if !(coverage > 0.0 && coverage < 1.0) {
             let allowed = "a share above 0 and below 1, for example 0.95";
@@ -249,6 +268,7 @@ impl Diagnoser {
         self.estimator.covariance_parts(fsj, zeta)
     }
 
+    /// Share of tests whose true pair the intervals are to hold.
     pub fn coverage(&self) -> f64 {
         self.coverage
     }

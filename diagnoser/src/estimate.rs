@@ -44,7 +44,9 @@ const FLOOR: f64 = 1e-7;
 /// The fault pair that fits best.
 #[derive(Clone, Debug)]
 pub struct Estimate {
+    /// may lie a little beyond the maps
     pub fsj: f64,
+    /// as FSJ
     pub zeta: f64,
     /// squared residual in standard uncertainties
     pub misfit: f64,
@@ -96,6 +98,7 @@ pub struct Estimator {
 }
 
 impl Estimator {
+    /// Makes a lattice of the joint maps, four times as fine as their grid, and the covariances on it.
     pub fn new(set: &FailureMapSet, calibration: Option<&Calibration>, known: &Known) -> Self {
         let maps: Vec<&FailureMap> = set.joint().collect();
         let features: Vec<Feature> = maps.iter().map(|m| m.feature).collect();
@@ -198,10 +201,12 @@ impl Estimator {
         (0..STARTS * STARTS).map(start).collect()
     }
 
+    /// The joint features, in the order of every [`Row`].
     pub fn features(&self) -> &[Feature] {
         &self.features
     }
 
+    /// The joint maps between their grid points; places beyond the last feature are empty.
     pub fn lattice(&self) -> &Lattice {
         &self.lattice
     }

@@ -37,15 +37,19 @@ pub struct MapBudget {
 /// One feature over the fault grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FailureMap {
+    /// what it is of
     pub feature: Feature,
     /// direction along (FSJ, zeta): +1 rising, -1 falling
     pub direction: (f64, f64),
+    /// lines of the grid, rising, at least two
     pub fsj: Vec<f64>,
+    /// lines of the grid, rising, at least two
     pub zeta: Vec<f64>,
     /// simulated values, zeta outer, FSJ inner
     pub raw: Vec<f64>,
     /// the nearest monotone surface to what is left of them without scatter
     pub value: Vec<f64>,
+    /// what it is uncertain by on the whole
     pub budget: MapBudget,
     /// what the projection changed at each grid point
     pub residual: Vec<f64>,
@@ -58,7 +62,9 @@ pub struct FailureMap {
 /// A curve of a map at one zeta, made to rise along FSJ (multiplied by the map's direction).
 #[derive(Clone, Debug)]
 pub struct Curve {
+    /// values at the FSJ grid points, rising
     pub y: Vec<f64>,
+    /// slopes there: with the values a monotone cubic (PCHIP)
     pub d: Vec<f64>,
 }
 
@@ -66,7 +72,9 @@ pub struct Curve {
 /// `high`, both monotone.
 #[derive(Clone, Debug)]
 pub struct BandCurve {
+    /// lower end of the band
     pub low: Curve,
+    /// upper end
     pub high: Curve,
 }
 
@@ -91,6 +99,9 @@ impl FailureMap {
     ///
     /// Refuses breaks of monotony beyond [`BREAK_LIMIT`] and values that are not numbers, naming
     /// the grid points.
+    ///
+    /// # Errors
+    /// Refuses fewer than 2 x 2 points, values that are not numbers, and breaks of monotony.
     #[allow(clippy::too_many_arguments)] // what a map is made of
     pub fn build(
         file: &str,

@@ -30,7 +30,9 @@ const KEPT_MAPS: usize = 256;
 /// What the diagnoser can interpret: a frame names actuator, sequence and sensors by fingerprint.
 #[derive(Clone, Debug, Default)]
 pub struct Known {
+    /// whose parameters frames may name
     pub actuators: Vec<Arc<ActuatorParameters>>,
+    /// that frames may name
     pub sequences: Vec<TestSequence>,
     /// fingerprints of sensor models, `none` included
     pub sensors: Vec<String>,
@@ -48,12 +50,17 @@ impl Known {
 /// A diagnosis of a stream.
 #[derive(Clone, Debug)]
 pub struct Report {
+    /// what the stream says of its run
     pub run: RunDescription,
+    /// this pass of the run: another number whenever it starts anew
     pub stream: u64,
     /// the last word; otherwise what is known so far
     pub is_final: bool,
+    /// outcome and features
     pub diagnosis: Diagnosis,
+    /// taken into the features
     pub samples_received: u64,
+    /// that never came
     pub samples_lost: u64,
     /// when the frame that brought it was published [ns, CLOCK_MONOTONIC]
     pub telemetry_ns: u64,
@@ -62,19 +69,27 @@ pub struct Report {
 /// What a person sees of an actuator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Status {
+    /// name
     pub actuator: String,
+    /// number of the run, chosen by the sender
     pub run: u64,
+    /// process number of the sender
     pub process: u32,
     /// what the command does now, in words
     pub phase: String,
+    /// the last sample that came or was passed over
     pub sample: u64,
+    /// of the whole run, 0 where unknown
     pub samples: u64,
+    /// samples that never came
     pub lost: u64,
+    /// features so far
     pub raw: RawFeatures,
     /// over the maps' nominal run, once there are maps
     pub features: Features,
     /// the last diagnosis, final or so far
     pub outcome: Option<Outcome>,
+    /// nothing more will be said of this run
     pub is_final: bool,
 }
 
@@ -108,6 +123,7 @@ pub struct Live {
 }
 
 impl Live {
+    /// No streams yet, and no maps: they are wished for when they are needed ([`Live::wishes`]).
     pub fn new(known: Known) -> Self {
         Self {
             known,

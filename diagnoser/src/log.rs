@@ -151,6 +151,9 @@ fn read(path: &Path) -> Result<Vec<RecordBatch>> {
 
 impl Log {
     /// Appends to `path` (`.jsonl` or `.parquet`), which is made if it is not there.
+    ///
+    /// # Errors
+    /// Refuses another ending, a log that another process writes, and a table with other columns.
     pub fn open(path: &Path, complain: Complain) -> Result<Self> {
         let writer = Writer::open(path)?;
         let (sender, receiver) = channel();
@@ -159,11 +162,15 @@ impl Log {
         Ok(Self { sender, thread })
     }
 
+    /// Hands a diagnosis over and returns at once.
     pub fn append(&self, logged: Logged) {
         let _ = self.sender.send(logged);
     }
 
     /// Writes what is left. An error says how many diagnoses are not in the log.
+    ///
+    /// # Errors
+    /// Fails where the rest cannot be written; it is printed to standard error.
     pub fn close(self) -> Result<()> {
         drop(self.sender);
         self.thread.join().expect("the log's thread does not panic")

@@ -81,6 +81,7 @@ impl Hash for MapKey {
 pub struct Choice {
     /// from unit to unit
     pub spread: Spread,
+    /// share of tests whose true pair the intervals are to hold, above 0 and below 1
     pub coverage: f64,
 }
 
@@ -99,6 +100,9 @@ impl Choice {
     }
 
     /// The calibration beside maps, if there is one. Refuses one of other maps or half-widths.
+    ///
+    /// # Errors
+    /// Refuses a calibration that is torn, of other maps or of other half-widths.
     pub fn calibration(&self, maps: &Path, set: &FailureMapSet) -> Result<Option<Calibration>> {
         let file = self.calibration_file(maps);
         if !file.exists() {
@@ -115,6 +119,9 @@ impl Choice {
 
     /// Maps with the calibration beside them. Without one, maps of one known unit have uncalibrated
     /// bands; those of a fleet are refused.
+    ///
+    /// # Errors
+    /// Refuses as [`Choice::calibration`] and [`Diagnoser::new`] do, and a fleet without calibration.
     pub fn ready(&self, maps: &Path, set: FailureMapSet, known: &Known) -> Result<Diagnoser> {
         let calibration = self.calibration(maps, &set)?;
         if calibration.is_none() && !self.spread.is_none() {
@@ -137,6 +144,9 @@ pub struct MapLibrary {
 impl MapLibrary {
     /// * `places` files, folders with `maps.parquet`, or folders of such folders; each must hold
     ///   maps that can be loaded
+    ///
+    /// # Errors
+    /// Refuses a place without maps that can be loaded.
     pub fn open(places: &[PathBuf]) -> Result<Self> {
         let mut files = Vec::new();
         for place in places {

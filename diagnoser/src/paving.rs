@@ -104,8 +104,11 @@ impl Default for Goal {
 /// One box of a paving: all of it in S (`inside`) or undecided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PavedBox {
+    /// along FSJ
     pub fsj: Interval,
+    /// along zeta
     pub zeta: Interval,
+    /// proved to lie in S; else undecided
     pub inside: bool,
 }
 
@@ -125,11 +128,13 @@ fn interval((lo, hi): Span) -> Interval {
 pub struct Part {
     /// Hull, encloses the part.
     pub fsj: Interval,
+    /// The same along zeta.
     pub zeta: Interval,
     /// Hull of the boxes inside, if any.
     pub inner_hull: Option<Limits>,
     /// Area in FSJ times zeta, enclosed from within and from without.
     pub inner: f64,
+    /// From without.
     pub outer: f64,
     /// (FSJ, zeta) [-]; undecided boxes count half, the hull's centre if there is no area.
     pub centroid: (f64, f64),
@@ -138,7 +143,9 @@ pub struct Part {
 /// The boxes enclose S and those inside are enclosed by S.
 #[derive(Clone, Debug)]
 pub struct Paving {
+    /// they cover S
     pub boxes: Vec<PavedBox>,
+    /// all parts together
     pub whole: Part,
     /// Separated parts, the largest outer area first.
     pub parts: Vec<Part>,

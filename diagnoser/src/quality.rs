@@ -38,6 +38,7 @@ pub const WORTH_NAMING: f64 = 0.01;
 /// What one map is worth to all of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Worth {
+    /// whose map it is
     pub feature: Feature,
     /// median, over cells, of the 95 % area without it over that with it; infinite where the others cannot
     /// tell the faults apart; `None` for a map that is not inverted
@@ -47,10 +48,13 @@ pub struct Worth {
 /// A possible improvement and what it would bring.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
+    /// what is done
     pub remedy: Remedy,
     /// medians, over cells, of what is after it over what is now: 95 % area, sigma FSJ, sigma zeta
     pub area: f64,
+    /// standard deviation of FSJ
     pub sigma_fsj: f64,
+    /// standard deviation of zeta
     pub sigma_zeta: f64,
 }
 
@@ -61,20 +65,25 @@ pub struct MapQuality {
     pub title: String,
     /// how far the areas of the diagnosis reach in standard uncertainties, by quadrant
     pub reach: [f64; 4],
+    /// one for each map
     pub shapes: Vec<MapShape>,
+    /// one for each map
     pub sensitivity: Vec<Sensitivity>,
     /// features that are inverted together
     pub joint: Vec<Feature>,
     /// of the grid, zeta outer, FSJ inner
     cells: Vec<Cell>,
     columns: usize,
+    /// one for each map
     pub convergence: Vec<Convergence>,
+    /// one for each map
     pub worth: Vec<Worth>,
     /// best first
     pub candidates: Vec<Candidate>,
 }
 
 impl MapQuality {
+    /// Judges the maps of a diagnoser, with its calibration and what it knows of the unit.
     pub fn of(diagnoser: &Diagnoser) -> Self {
         let maps = &diagnoser.maps.maps;
         let joint = diagnoser.joint_features().to_vec();

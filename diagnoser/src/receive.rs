@@ -41,6 +41,7 @@ pub enum Show {
     Lines,
     /// a JSON object a diagnosis
     Json,
+    /// nothing; they are published and logged all the same
     Nothing,
 }
 
@@ -49,13 +50,17 @@ pub type MapSource = Box<dyn Fn(&MapKey) -> Result<Diagnoser, String> + Send>;
 
 /// How to run.
 pub struct Options {
+    /// shared memory that streams are looked for in
     pub domain: Domain,
+    /// what frames may name
     pub known: Known,
+    /// file that final diagnoses are appended to, `.jsonl` or `.parquet`
     pub log: Option<PathBuf>,
     /// folder of recordings
     pub record: Option<PathBuf>,
     /// poll instead of sleeping: the processor core is busy all the time
     pub busy: bool,
+    /// what people see
     pub show: Show,
     /// end after so many final diagnoses
     pub exit_after: Option<u64>,
@@ -148,6 +153,10 @@ fn say(text: &str) -> std::io::Result<()> {
 }
 
 /// Diagnoses what comes until `stop`, or until enough has come.
+///
+/// # Errors
+/// Refuses shared memory, log, folder or terminal that cannot be used; fails where standard output cannot be
+/// written (a closed pipe is no failure).
 pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Result<Counts> {
     let view = (options.show == Show::Screen)
         .then(|| View::open(stop.clone()))

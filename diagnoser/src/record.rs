@@ -42,6 +42,9 @@ pub struct Recording {
 
 impl Recording {
     /// Makes the folder and removes what a dead process left half-written in it.
+    ///
+    /// # Errors
+    /// Refuses a folder that cannot be made or written.
     pub fn new(dir: &Path, sequences: Vec<(String, String)>, timeout: Duration) -> Result<Self> {
         let cannot = |e| schemas::error::Error::io(dir, "cannot be made", e);
         std::fs::create_dir_all(dir).map_err(cannot)?;
@@ -112,6 +115,9 @@ impl Recording {
     }
 
     /// Takes a frame; returns what it is to be answered with, where it wants an answer.
+    ///
+    /// # Errors
+    /// Fails where the file cannot be written.
     pub fn frame(&mut self, h: &FrameHeader, payload: &[f64], publisher: u64) -> Result<Option<u64>> {
         let Ok(view) = h.view(payload) else {
             return Ok(None);
@@ -155,6 +161,9 @@ impl Recording {
     }
 
     /// Ends the files of streams whose publisher is gone or silent.
+    ///
+    /// # Errors
+    /// Fails where a file cannot be finished.
     pub fn tick(&mut self, alive: &[u64]) -> Result<()> {
         let over = |t: &Tape| !alive.contains(&t.publisher) || t.last.elapsed() > self.timeout;
         let streams: Vec<u64> = self.tapes.iter().filter(|(_, t)| over(t)).map(|(s, _)| *s).collect();
@@ -162,6 +171,9 @@ impl Recording {
     }
 
     /// Ends all files.
+    ///
+    /// # Errors
+    /// Fails where a file cannot be finished.
     pub fn close(&mut self) -> Result<()> {
         let streams: Vec<u64> = self.tapes.keys().copied().collect();
         streams.into_iter().try_for_each(|s| self.finish(s))
@@ -199,6 +211,9 @@ impl Tape {
 ///
 /// * `ready` is told when frames wait for the recorder; they are taken, and answered, when `go` is
 ///   told, so that a stream begins for recorder and diagnoser alike
+///
+/// # Errors
+/// Fails where the shared memory cannot be read or a file cannot be written.
 pub fn record(
     domain: &Domain,
     mut recording: Recording,

@@ -55,6 +55,7 @@ fn contradicting(outcome: &Outcome) -> &[Feature] {
 /// A diagnosis of a stream, with what is to be known of the stream.
 #[derive(Clone, Debug)]
 pub struct Logged {
+    /// the diagnosis and its stream
     pub report: Report,
     /// wall clock [ns since 1970, UTC]
     pub time_ns: i64,

@@ -21,7 +21,9 @@ const BETTER: f64 = 0.95;
 /// What a grid point becomes, and the standard uncertainty with which it predicts a test.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Smoothed {
+    /// of the fit that predicts best, or of the point itself
     pub value: f64,
+    /// root mean square of leave-one-out errors around the point, in the feature's unit
     pub error: f64,
 }
 

@@ -57,7 +57,9 @@ fn terms(u: f64, v: f64) -> Slope {
 /// Faults scaled to -1 to 1 over the range that the maps cover.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scale {
+    /// ends of the range
     pub fsj: (f64, f64),
+    /// ends of the range
     pub zeta: (f64, f64),
 }
 
@@ -101,8 +103,11 @@ pub struct ResponseSurfaces {
 
 /// One simulated unit: its faults, deviations, and its features less the maps'.
 pub struct Sample {
+    /// of the unit
     pub fsj: f64,
+    /// of the unit
     pub zeta: f64,
+    /// of the unit, by cause
     pub deviations: Deviations,
     /// feature less map, and the uncertainty that the map already states
     pub residual: Vec<(Feature, f64, f64)>,
@@ -286,6 +291,7 @@ pub struct PreparedSurfaces {
 pub struct Straight {
     /// change of the features for one standard deviation of each unknown cause
     pub slopes: [Row; Cause::COUNT],
+    /// how many of `slopes` count
     pub causes: usize,
     /// what is to be added to that: what is known, and the bends
     pub shift: Row,

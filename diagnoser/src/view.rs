@@ -40,6 +40,9 @@ pub struct View {
 
 impl View {
     /// Takes the terminal over; q or Ctrl-C sets `stop`.
+    ///
+    /// # Errors
+    /// Refuses where there is no terminal.
     pub fn open(stop: Arc<AtomicBool>) -> Result<Self> {
         let mut terminal =
             ratatui::try_init().map_err(|e| Error::io(std::path::Path::new("terminal"), "cannot be used", e))?;

@@ -29,7 +29,9 @@ pub struct MapSetHeader {
     pub grid: String,
     /// of the numerical test bench [s]
     pub step_s: f64,
+    /// of the sensor noise in the grid's runs
     pub seed: u64,
+    /// source revision or hash of the program that made them
     pub commit: String,
     /// features whose surface is not monotone enough for a map, and why
     #[serde(default)]
@@ -39,9 +41,11 @@ pub struct MapSetHeader {
 /// The maps of one actuator, sequence, rate, sensor model and rest angle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FailureMapSet {
+    /// what the maps are for
     pub header: MapSetHeader,
     /// the nominal run through the same sensors
     pub nominal: RawFeatures,
+    /// by which faults are located, at most one a feature
     pub maps: Vec<FailureMap>,
     /// what the witnesses should be
     pub witnesses: Vec<FailureMap>,
@@ -71,6 +75,7 @@ impl FailureMapSet {
         fingerprint(&format!("maps;{header};{}", values.collect::<Vec<_>>().join(",")))
     }
 
+    /// The map of a feature, if there is one; witnesses are not looked at.
     pub fn map(&self, feature: Feature) -> Option<&FailureMap> {
         self.maps.iter().find(|m| m.feature == feature)
     }
@@ -82,6 +87,9 @@ impl FailureMapSet {
     }
 
     /// Refuses more maps than can be inverted together, and more witnesses, naming the first too many.
+    ///
+    /// # Errors
+    /// Refuses a set with more than [`MOST`] of either.
     pub fn check(&self, file: &str) -> Result<()> {
         match self.joint().nth(MOST).or(self.witnesses.get(MOST)) {
             Some(m) => {
@@ -97,6 +105,9 @@ impl FailureMapSet {
     }
 
     /// Saves the maps as one Parquet table: feature, fsj, zeta, value, raw_value.
+    ///
+    /// # Errors
+    /// Refuses where the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         let column = |f: fn(&FailureMap, usize) -> f64| -> ArrayRef {
             let v = self.all().flat_map(|m| (0..m.value.len()).map(move |i| f(m, i)));
@@ -154,6 +165,10 @@ impl FailureMapSet {
     }
 
     /// Loads a saved set; refuses another schema version, torn files and incomplete grids.
+    ///
+    /// # Errors
+    /// Refuses a file that is not such a table, and sets that [`FailureMap::build`] or [`FailureMapSet::check`]
+    /// refuses.
     pub fn load(path: &Path) -> Result<Self> {
         let pairs = schemas::recording::metadata(path)?;
         Provenance::from_pairs(path, &pairs)?;

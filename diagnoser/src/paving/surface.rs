@@ -22,6 +22,9 @@ pub struct Lattice {
 impl Lattice {
     /// `nodes[zeta_index * fsj.len() + fsj_index]`; `directions` are +1 or -1 along (FSJ, zeta) for each feature.
     /// A node that breaks its direction is lifted to the running maximum.
+    ///
+    /// # Errors
+    /// Refuses axes that do not rise, a wrong number of nodes and numbers that are not finite.
     pub fn new(
         fsj: Vec<f64>,
         zeta: Vec<f64>,

@@ -27,7 +27,9 @@ const SINGULAR: f64 = 1e-12;
 pub struct Ellipse {
     /// standard deviations
     pub sigma_fsj: f64,
+    /// of zeta
     pub sigma_zeta: f64,
+    /// of FSJ and zeta, -1 to 1
     pub correlation: f64,
     /// of the 95 % ellipse, FSJ times zeta
     pub area: f64,
@@ -38,6 +40,7 @@ pub struct Ellipse {
 pub struct Cell {
     /// its ends
     pub fsj: (f64, f64),
+    /// along zeta
     pub zeta: (f64, f64),
     /// `None` where the information is singular
     pub ellipse: Option<Ellipse>,

@@ -8,7 +8,9 @@ use schemas::feature::Feature;
 /// Something for each of the two faults.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PerFault<T> {
+    /// along FSJ
     pub fsj: T,
+    /// along zeta
     pub zeta: T,
 }
 
@@ -21,6 +23,7 @@ pub struct Break {
     pub share: f64,
     /// (FSJ, zeta)
     pub from: (f64, f64),
+    /// the next grid point on the line (FSJ, zeta)
     pub to: (f64, f64),
 }
 
@@ -29,6 +32,7 @@ pub struct Break {
 pub struct Crossing {
     /// in the feature's unit
     pub depth: f64,
+    /// place of the greatest depth
     pub fsj: f64,
     /// of both curves
     pub zeta: (f64, f64),
@@ -39,12 +43,14 @@ pub struct Crossing {
 pub struct Crossings {
     /// pairs of curve segments that cross
     pub count: usize,
+    /// none where no curves cross
     pub deepest: Option<Crossing>,
 }
 
 /// The shape of a map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapShape {
+    /// whose map it is
     pub feature: Feature,
     /// of the monotone surface
     pub range: (f64, f64),
@@ -54,6 +60,7 @@ pub struct MapShape {
     pub broken: PerFault<Option<Break>>,
     /// share of grid cells that change by no more than one standard uncertainty of the measurement
     pub plateau: PerFault<f64>,
+    /// of its curves
     pub crossings: Crossings,
 }
 
@@ -82,6 +89,7 @@ pub(super) fn centres(map: &FailureMap) -> impl Iterator<Item = (f64, f64)> {
 }
 
 impl MapShape {
+    /// Judges the simulated values and the monotone surface made of them.
     pub fn of(map: &FailureMap) -> Self {
         let (lo, hi) = map.range();
         let (rows, columns) = (map.zeta.len(), map.fsj.len());
@@ -171,7 +179,9 @@ pub struct Steepness {
 /// How much a feature tells of each fault: its change for 1 % of FSJ and for 0.01 of zeta.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensitivity {
+    /// whose map it is
     pub feature: Feature,
+    /// for 1 % of FSJ, for 0.01 of zeta
     pub steepness: PerFault<Steepness>,
 }
 
@@ -180,6 +190,7 @@ const PERCENT: f64 = 0.01;
 const HUNDREDTH: f64 = 0.01;
 
 impl Sensitivity {
+    /// Slopes of a map by central differences, against the diagnosis' uncertainty of the feature.
     pub fn of(diagnoser: &Diagnoser, map: &FailureMap) -> Self {
         let (nf, nz) = (map.fsj.len(), map.zeta.len());
         let uncertainty = |(f, z): (f64, f64)| diagnoser.uncertainty(map.feature, f, z).unwrap_or(f64::NAN);
@@ -233,14 +244,17 @@ fn ends_and_median(v: Vec<f64>) -> [f64; 3] {
 /// Whether the grid of a map is fine enough. Root mean squares over the grid, in the feature's unit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Convergence {
+    /// whose map it is
     pub feature: Feature,
     /// standard uncertainty of the measurement: sensors and one sample
     pub measurement: f64,
     /// leave-one-out errors on the grid and on every second line of it
     pub fine: f64,
+    /// on every second line
     pub coarse: f64,
     /// estimated interpolation error of this grid, and of one twice as fine
     pub interpolation: f64,
+    /// of a grid twice as fine
     pub finer: f64,
     /// median over cells of the interpolation error's share of the feature's standard uncertainty, the
     /// unit's spread included
@@ -253,6 +267,7 @@ pub(super) fn interpolation_variance(error: f64, residual: f64) -> f64 {
 }
 
 impl Convergence {
+    /// Judges the grid by leave-one-out errors, on it and on every second line of it.
     pub fn of(diagnoser: &Diagnoser, map: &FailureMap) -> Self {
         let (fine, coarse) = (map.leave_one_out(1), map.leave_one_out(2));
         let mean = |v: &[f64]| root_mean_square(v.iter().copied().filter(|e| *e > 0.0));
