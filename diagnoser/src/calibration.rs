@@ -3,7 +3,7 @@
 //! Split conformal prediction (Papadopoulos et al. 2002; Vovk 2012): simulated tests at random faults, none
 //! of which the maps are made of, are diagnosed. The score of a test is the smallest reach at which the
 //! reported intervals hold its true pair. The reach for a coverage is an order statistic of the scores,
-//! taken so high that the coverage holds, with [`CONFIDENCE`], whatever the distribution. Tests are grouped
+//! taken so high that the coverage holds, with a confidence of 80 %, whatever the distribution. Tests are grouped
 //! by the quadrant of the fault range that the estimate lies in (Mondrian), so that no quadrant pays for
 //! another.
 
@@ -116,13 +116,13 @@ impl Calibration {
     /// Writes it as one JSON object, whole or not at all.
     ///
     /// # Errors
-    /// Refuses where the file cannot be written.
+    /// Fails where the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string(self).expect("plain data");
         write_whole(path, text.as_bytes())
     }
 
-    /// Refuses a torn file and one of other maps.
+    /// Reads a saved one.
     ///
     /// * `maps` fingerprint of the maps that it must belong to
     ///

@@ -168,6 +168,8 @@ pub struct Diagnoser {
 }
 
 impl Diagnoser {
+    /// Maps made ready, for a coverage.
+    ///
     /// * `coverage` wanted, above 0 and below 1
     /// * `known` of the unit: refused where the calibration has no response to that cause
     ///

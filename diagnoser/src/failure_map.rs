@@ -94,14 +94,11 @@ impl FailureMap {
     /// * `raw` values, zeta outer, FSJ inner
     /// * `noise` standard deviation from the sensors
     /// * `sample` the feature's step where it comes in whole samples, else 0
-    ///
     /// * `direction` along (FSJ, zeta)
     ///
-    /// Refuses breaks of monotony beyond [`BREAK_LIMIT`] and values that are not numbers, naming
-    /// the grid points.
-    ///
     /// # Errors
-    /// Refuses fewer than 2 x 2 points, values that are not numbers, and breaks of monotony.
+    /// Refuses fewer than 2 x 2 points, values that are not numbers, and breaks of monotony beyond 3 % of the range
+    /// and one sample, naming the grid points.
     #[allow(clippy::too_many_arguments)] // what a map is made of
     pub fn build(
         file: &str,

@@ -99,7 +99,7 @@ impl Choice {
         maps.with_file_name(Calibration::file_name(&self.spread.name))
     }
 
-    /// The calibration beside maps, if there is one. Refuses one of other maps or half-widths.
+    /// The calibration beside maps, if there is one.
     ///
     /// # Errors
     /// Refuses a calibration that is torn, of other maps or of other half-widths.
@@ -118,7 +118,7 @@ impl Choice {
     }
 
     /// Maps with the calibration beside them. Without one, maps of one known unit have uncalibrated
-    /// bands; those of a fleet are refused.
+    /// bands.
     ///
     /// # Errors
     /// Refuses as [`Choice::calibration`] and [`Diagnoser::new`] do, and a fleet without calibration.
@@ -142,8 +142,7 @@ pub struct MapLibrary {
 }
 
 impl MapLibrary {
-    /// * `places` files, folders with `maps.parquet`, or folders of such folders; each must hold
-    ///   maps that can be loaded
+    /// * `places` files, folders with `maps.parquet`, or folders of such folders
     ///
     /// # Errors
     /// Refuses a place without maps that can be loaded.

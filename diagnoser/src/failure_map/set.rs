@@ -86,10 +86,10 @@ impl FailureMapSet {
         self.maps.iter().filter(move |m| !m.feature.parts().is_some_and(has))
     }
 
-    /// Refuses more maps than can be inverted together, and more witnesses, naming the first too many.
+    /// Whether all maps can be inverted together, and all witnesses compared.
     ///
     /// # Errors
-    /// Refuses a set with more than [`MOST`] of either.
+    /// Refuses more than [`MOST`] of either, naming the first too many.
     pub fn check(&self, file: &str) -> Result<()> {
         match self.joint().nth(MOST).or(self.witnesses.get(MOST)) {
             Some(m) => {
@@ -107,7 +107,7 @@ impl FailureMapSet {
     /// Saves the maps as one Parquet table: feature, fsj, zeta, value, raw_value.
     ///
     /// # Errors
-    /// Refuses where the file cannot be written.
+    /// Fails where the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         let column = |f: fn(&FailureMap, usize) -> f64| -> ArrayRef {
             let v = self.all().flat_map(|m| (0..m.value.len()).map(move |i| f(m, i)));
@@ -164,11 +164,11 @@ impl FailureMapSet {
         write_table(path, &batch, pairs)
     }
 
-    /// Loads a saved set; refuses another schema version, torn files and incomplete grids.
+    /// Loads a saved set; what the maps become is worked out anew from the simulated values.
     ///
     /// # Errors
-    /// Refuses a file that is not such a table, and sets that [`FailureMap::build`] or [`FailureMapSet::check`]
-    /// refuses.
+    /// Refuses another schema version, torn files, incomplete grids, fewer than two maps, and what
+    /// [`FailureMap::build`] or [`FailureMapSet::check`] refuses.
     pub fn load(path: &Path) -> Result<Self> {
         let pairs = schemas::recording::metadata(path)?;
         Provenance::from_pairs(path, &pairs)?;
