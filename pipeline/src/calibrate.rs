@@ -33,6 +33,7 @@ pub struct Effort {
     pub runs: usize,
     /// further runs that the response to the unit's causes comes from; none without spread
     pub surface_runs: usize,
+    /// of the draws; noise seeds follow from it
     pub seed: u64,
 }
 
@@ -48,7 +49,7 @@ impl Effort {
 /// The tests that maps are for, ready to be simulated. Refuses actuator, sequence or sensors that are not theirs.
 ///
 /// * `file` of the maps, for messages
-pub fn setup_of(
+pub(crate) fn setup_of(
     file: &Path,
     header: &MapSetHeader,
     actuator: Arc<ActuatorParameters>,
@@ -73,6 +74,7 @@ pub fn setup_of(
 /// A simulated test of one unit.
 #[derive(Clone, Debug)]
 pub struct Unit {
+    /// of the test
     pub fault: FaultState,
     /// by [`Cause`], -1 to 1: share of the spread's half-width
     pub draw: [f64; Cause::COUNT],
@@ -101,6 +103,9 @@ pub fn draw_units(fsj: (f64, f64), zeta: (f64, f64), spread: &Spread, n: usize, 
 }
 
 /// Features of each unit's test, as its sensors give them. `Ok(None)` where it was interrupted.
+///
+/// # Errors
+/// As [`simulate_features`].
 pub fn measure(setup: &TestSetup, spread: &Spread, units: &[Unit], title: &str) -> Result<Option<Vec<RawFeatures>>> {
     let lanes = units.iter().map(|u| {
         let (actuator, rest_angle_rad) = spread.unit(&setup.actuator, setup.rest_angle_rad, &u.draw);
@@ -122,6 +127,9 @@ pub fn measure(setup: &TestSetup, spread: &Spread, units: &[Unit], title: &str) 
 
 /// Features of tests in the given lanes with the given noise seeds. `Ok(None)` where it was
 /// interrupted.
+///
+/// # Errors
+/// Refuses a setup that [`TestSetup::experiment`] refuses.
 pub fn simulate_features(setup: &TestSetup, lanes: Vec<(Lane, u64)>, title: &str) -> Result<Option<Vec<RawFeatures>>> {
     let plan = Arc::new(setup.feature_plan());
     let experiment = setup.experiment(plan.channels())?;
@@ -149,10 +157,13 @@ pub fn simulate_features(setup: &TestSetup, lanes: Vec<(Lane, u64)>, title: &str
 /// Simulated tests of random units, from which maps can be calibrated.
 #[derive(Clone, Debug)]
 pub struct Campaign {
+    /// how units differ
     pub spread: Spread,
+    /// what it cost
     pub effort: Effort,
     /// tests that the response surfaces come from, and those that the reach comes from
     pub surface: (Vec<Unit>, Vec<RawFeatures>),
+    /// these give the reach
     pub scores: (Vec<Unit>, Vec<RawFeatures>),
 }
 
@@ -160,6 +171,9 @@ impl Campaign {
     /// Simulates it. `Ok(None)` where it was interrupted.
     ///
     /// * `fsj`, `zeta` range of the maps
+    ///
+    /// # Errors
+    /// As [`simulate_features`].
     pub fn run(
         setup: &TestSetup,
         spread: &Spread,
@@ -191,6 +205,9 @@ impl Campaign {
     }
 
     /// The calibration of maps from it.
+    ///
+    /// # Errors
+    /// Refuses maps that [`Diagnoser::new`] refuses.
     pub fn calibrate(&self, set: &FailureMapSet) -> Result<Calibration> {
         let mut calibration = Calibration {
             spread: self.spread.name.clone(),
@@ -233,7 +250,7 @@ impl Campaign {
 }
 
 /// Fills a calibration with the scores of tests.
-pub fn score_all(calibration: &mut Calibration, scores: &[Score]) {
+pub(crate) fn score_all(calibration: &mut Calibration, scores: &[Score]) {
     let sorted = |f: fn(&Score) -> f64| {
         let mut v: Vec<f64> = scores.iter().map(f).collect();
         v.sort_by(f64::total_cmp);
@@ -257,6 +274,9 @@ pub fn range(set: &FailureMapSet) -> ((f64, f64), (f64, f64)) {
 }
 
 /// Calibrates maps for a spread. `Ok(None)` where it was interrupted.
+///
+/// # Errors
+/// As [`Campaign::run`] and [`Campaign::calibrate`].
 pub fn calibrate(
     set: &FailureMapSet,
     setup: &TestSetup,

@@ -27,11 +27,13 @@ pub struct Settings {
     pub actuator: Option<Arc<ActuatorParameters>>,
     /// folder with `maps.parquet`; the cache if `None`
     pub maps: Option<PathBuf>,
+    /// number of the run, where the recording holds several
     pub run: Option<u64>,
     /// name or file; recognised from the command if `None`
     pub sequence: Option<String>,
     /// `auto`, `none`, or a sensor model by name or file
     pub sensors: String,
+    /// fault pairs of maps that are made on first use
     pub grid: FaultGrid,
     /// what intervals are to be made for
     pub choice: Choice,
@@ -50,11 +52,15 @@ impl Settings {
 
 /// A diagnosed recording.
 pub struct Case {
+    /// the recording
     pub measured: Measured,
+    /// before anything nominal is subtracted
     pub raw: RawFeatures,
     /// the test that it is
     pub setup: TestSetup,
+    /// what was found
     pub diagnosis: Diagnosis,
+    /// the maps that it was found by
     pub diagnoser: Diagnoser,
 }
 
@@ -66,6 +72,9 @@ pub fn extract(m: &Measured, plan: Arc<FeaturePlan>) -> FeatureExtractor {
 }
 
 /// The sensor model of a recording: named, said by the file, or recognised from its values.
+///
+/// # Errors
+/// Refuses sensors that are not known.
 pub fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Option<SensorModel>> {
     if settings.sensors != "auto" {
         return Ok(sim_worker::catalogue::sensors(&settings.sensors)?);
@@ -151,6 +160,10 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, setup: &TestSetup) -> Re
 }
 
 /// Diagnoses a telemetry file.
+///
+/// # Errors
+/// Refuses what [`input::open`] refuses, a rate below 1 kHz, and a test of another kind than the maps'. Making
+/// maps may be interrupted ([`crate::Interrupted`]).
 pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
     let measured = input::open(path, settings.run)?;
     if measured.rate_hz < LOWEST_RATE_HZ * (1.0 - 1e-6) {

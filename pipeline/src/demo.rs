@@ -36,15 +36,19 @@ pub const TABLE_I: [(f64, f64, f64, f64); 4] = [
 /// Statistics of one case over noise seeds.
 #[derive(Clone, Debug)]
 pub struct CaseStatistics {
+    /// the exact pair
     pub truth: FaultState,
+    /// noise seeds diagnosed, 0 upwards
     pub seeds: u64,
     /// share of seeds that are located with the truth inside
     pub inside: f64,
     /// errors in percent, sorted: zeta, FSJ (not located counts as infinite)
     pub zeta_error: Vec<f64>,
+    /// in percent, as `zeta_error`
     pub fsj_error: Vec<f64>,
     /// median widths of the intervals: FSJ, zeta
     pub fsj_width: f64,
+    /// of zeta
     pub zeta_width: f64,
 }
 
@@ -112,7 +116,7 @@ pub fn statistics(
 }
 
 /// A simulated grid and its maps, ready to diagnose.
-pub struct Grid {
+pub(crate) struct Grid {
     pub setup: TestSetup,
     pub faults: FaultGrid,
     pub runs: u64,
@@ -161,7 +165,7 @@ fn grid(name: &str, dataset: &Path, choice: &Choice) -> Result<Grid> {
 }
 
 /// A case of the paper's Table I.
-pub struct TableCase {
+pub(crate) struct TableCase {
     /// the paper's errors in percent: zeta, FSJ
     pub paper: (f64, f64),
     /// one noise seed, recorded and diagnosed from the file
@@ -199,7 +203,7 @@ impl TableCase {
 }
 
 /// What the demonstration found.
-pub struct DemoResult {
+pub(crate) struct DemoResult {
     pub grid: Grid,
     pub seeds: u64,
     pub table: Vec<TableCase>,
@@ -209,7 +213,7 @@ pub struct DemoResult {
 }
 
 /// Simulates the grid into `out`, builds the maps, diagnoses the paper's cases (and `file`).
-pub fn run(out: &Path, grid_name: &str, seeds: u64, file: Option<&Path>) -> Result<DemoResult> {
+pub(crate) fn run(out: &Path, grid_name: &str, seeds: u64, file: Option<&Path>) -> Result<DemoResult> {
     let (dataset, cases) = (out.join("dataset"), out.join("cases"));
     let choice = Choice::usual();
     let grid = grid(grid_name, &dataset, &choice)?;

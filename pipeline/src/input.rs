@@ -19,12 +19,17 @@ const JITTER: f64 = 0.05;
 
 /// One recorded run in memory, and what the file says of itself.
 pub struct Measured {
+    /// its samples, channels in SI units
     pub telemetry: Collector,
+    /// of the samples
     pub rate_hz: f64,
     /// empty where the file does not say
     pub parameters: String,
+    /// name; empty where the file does not say
     pub sequence: String,
+    /// empty where the file does not say
     pub sequence_fingerprint: String,
+    /// fingerprint of the sensor model, or `none`; empty where the file does not say
     pub sensors: String,
     /// constant load of a simulated run [N m, motor side]
     pub load_n_m: Option<f64>,
@@ -33,12 +38,12 @@ pub struct Measured {
 }
 
 /// A dataset, rather than a file: a folder, or a URL.
-pub fn is_dataset(path: &Path) -> bool {
+pub(crate) fn is_dataset(path: &Path) -> bool {
     path.is_dir() || path.to_str().is_some_and(|t| t.contains("://"))
 }
 
 /// The runs of a file: their numbers, or `None` for the one of a CSV file.
-pub fn runs(path: &Path) -> Result<Vec<Option<u64>>> {
+pub(crate) fn runs(path: &Path) -> Result<Vec<Option<u64>>> {
     #[derive(Default)]
     struct Numbers(Vec<Option<u64>>);
     impl TelemetrySink for Numbers {
@@ -87,6 +92,10 @@ fn is_parquet(path: &Path) -> Result<bool> {
 }
 
 /// Opens a `.parquet` or `.csv` file, or a run of a dataset; `run` chooses one of several.
+///
+/// # Errors
+/// Refuses a file or dataset that cannot be read, several runs without a choice, missing columns, an unsteady
+/// time base and numbers that are not finite.
 pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
     let m = if is_dataset(path) {
         open_dataset(path, run)?
@@ -346,6 +355,9 @@ fn agreement(m: &Measured, sequence: &TestSequence, step_s: f64) -> (f64, usize)
 }
 
 /// The sequence that the recording's command follows.
+///
+/// # Errors
+/// Refuses a command that the sequence wanted, or any known one, does not follow in 98 % of the samples.
 pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -> Result<TestSequence> {
     const ENOUGH: f64 = 0.98;
     let by_name = wanted.or((!m.sequence.is_empty()).then_some(m.sequence.as_str()));
@@ -395,7 +407,7 @@ pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -
 
 /// Whether the recording looks quantised as `model` would have it: motor positions on the
 /// resolver's counts.
-pub fn is_quantised(m: &Measured, model: &SensorModel) -> bool {
+pub(crate) fn is_quantised(m: &Measured, model: &SensorModel) -> bool {
     let theta = m.telemetry.column(Channel::ThetaM).expect("checked when opened");
     let lsb = model.resolver_count_rad();
     // beyond 20 rad a single-precision file no longer resolves a twentieth of a count

@@ -46,6 +46,9 @@ impl MapRequest {
 /// Maps for a request from the cache, made and calibrated on first use.
 ///
 /// * `known` of the unit, as on the command line
+///
+/// # Errors
+/// As [`made`] and [`calibrated`].
 pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Diagnoser> {
     let key = fingerprint(&format!("{};{SOURCE}", request.plan()?.fingerprint()));
     let dir = cache_dir().join("maps").join(key);
@@ -54,6 +57,10 @@ pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Di
 }
 
 /// Saved maps made ready, calibrated quickly where there is no calibration beside them that can be used.
+///
+/// # Errors
+/// Refuses what [`Choice::ready`] refuses; fails where the calibration cannot be written, or is interrupted
+/// ([`crate::Interrupted`]).
 pub fn calibrated(
     file: &Path,
     set: FailureMapSet,
@@ -79,6 +86,10 @@ pub fn calibrated(
 }
 
 /// Maps for a request from a folder, made there on first use: beside the dataset that they come from.
+///
+/// # Errors
+/// Refuses a grid that makes no maps; fails where the folder cannot be written, or the simulation is
+/// interrupted ([`crate::Interrupted`]).
 pub fn made(dir: &Path, request: &MapRequest) -> Result<FailureMapSet> {
     let file = dir.join("maps.parquet");
     if let Ok(set) = FailureMapSet::load(&file) {
@@ -121,9 +132,13 @@ fn declared(
 /// outer, FSJ inner.
 #[derive(Clone, Debug)]
 pub struct GridFeatures {
+    /// lines of the grid, rising
     pub fsj: Vec<f64>,
+    /// lines of the grid, rising
     pub zeta: Vec<f64>,
+    /// one a point, zeta outer, FSJ inner
     pub measured: Vec<RawFeatures>,
+    /// in the same order; what is missing counts as 0
     pub deviations: Vec<RawFeatures>,
 }
 
@@ -133,6 +148,10 @@ pub struct GridFeatures {
 /// * `header` what the maps are for; what is left out is added
 /// * `lenient` leave out a feature whose surface is not monotone enough (the set then says so)
 ///   instead of refusing: at some rest angles P2 or P3 do not rise everywhere
+///
+/// # Errors
+/// Refuses a grid without healthy point (FSJ 1, zeta 0) or without any map, more maps than can be inverted
+/// together, and, unless `lenient`, a surface that is not monotone enough.
 pub fn of_grid(
     file: &str,
     mut header: MapSetHeader,

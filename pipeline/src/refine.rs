@@ -57,9 +57,11 @@ const STAIRS: f64 = 2.0;
 /// One recording and what is known about it.
 #[derive(Clone, Copy, Debug)]
 pub struct Test<'a> {
+    /// the test bench, its test and its sensors
     pub setup: &'a TestSetup,
     /// nominal run of the maps, which `features` are over
     pub nominal: &'a RawFeatures,
+    /// measured
     pub features: &'a Features,
     /// how units differ: a cause's uniform distribution counts as a Gaussian of the same variance h^2/3
     pub spread: &'a Spread,
@@ -70,7 +72,9 @@ pub struct Test<'a> {
 /// Where a search begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Start {
+    /// middle of the first box
     pub fsj: f64,
+    /// middle of the first box
     pub zeta: f64,
     /// half-widths of the first box (FSJ, zeta)
     pub radius: (f64, f64),
@@ -101,10 +105,12 @@ impl Start {
 /// A cause that was fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FittedCause {
+    /// which one
     pub cause: Cause,
     /// mean and standard deviation of the posterior, as shares of the spread's half-width; 0 and 0.577 where
     /// the recording says nothing about it
     pub share: f64,
+    /// standard deviation, as `share`
     pub sigma: f64,
 }
 
@@ -117,7 +123,9 @@ pub struct Step {
     pub runs: usize,
     /// posterior mean and standard deviations (FSJ, zeta)
     pub estimate: (f64, f64),
+    /// standard deviations (FSJ, zeta)
     pub sigma: (f64, f64),
+    /// smallest squared residual in standard uncertainties
     pub misfit: f64,
 }
 
@@ -126,21 +134,26 @@ pub struct Step {
 pub struct Refined {
     /// box that holds the true pair with the coverage asked for
     pub fsj: Interval,
+    /// the same along zeta
     pub zeta: Interval,
     /// posterior mean (FSJ, zeta)
     pub estimate: (f64, f64),
     /// posterior standard deviations (FSJ, zeta) and correlation
     pub sigma: (f64, f64),
+    /// of FSJ and zeta, -1 to 1
     pub correlation: f64,
     /// features that were fitted
     pub features: Vec<Feature>,
     /// smallest squared residual in standard uncertainties, the causes' priors included: chi-square with
     /// (features - 2) degrees of freedom where the model holds
     pub misfit: f64,
+    /// those of the spread that are not known
     pub causes: Vec<FittedCause>,
+    /// of the test bench, in all steps
     pub runs: usize,
     /// whether the last step was a small share of the standard deviations
     pub converged: bool,
+    /// step by step
     pub trace: Vec<Step>,
 }
 
@@ -160,6 +173,9 @@ impl Refined {
 ///   that a Gaussian fault lies in it with probability sqrt(coverage): the box of two independent Gaussians
 ///   then has the coverage, and that of correlated ones has no less (Sidak 1967)
 /// * `seed` of the simulated units and their noise: the same one gives the same result
+///
+/// # Errors
+/// Refuses a coverage outside 0 to 1, fewer than two features, and a test whose simulations give no fit.
 pub fn refine(test: &Test<'_>, start: Option<Start>, coverage: f64, seed: u64) -> Result<Option<Refined>> {
     if !(coverage > 0.0 && coverage < 1.0) {
         let allowed = "a share above 0 and below 1, for example 0.95";

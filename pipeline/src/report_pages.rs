@@ -1,6 +1,6 @@
 //! What the report shows: maps with cuts, located areas, traces, tables.
 
-pub mod demo;
+pub(crate) mod demo;
 
 use crate::report::{Band, Curve, Figure, MapPlot, RegionPlot, Strip, TracePlot};
 use diagnoser::curves::common;

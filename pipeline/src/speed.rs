@@ -15,11 +15,17 @@ use std::time::Instant;
 /// Times of one measurement, each the best of a few repetitions.
 #[derive(Clone, Copy, Debug)]
 pub struct Speed {
+    /// one run by itself [ns per step of 1 microsecond]
     pub scalar_ns_per_step: f64,
+    /// full lanes, of one run [ns per step]
     pub lanes_ns_per_step_per_run: f64,
+    /// runs side by side
     pub lanes: usize,
+    /// full lanes at rest, of one run [ns per step]
     pub standstill_lanes_ns_per_step_per_run: f64,
+    /// simplified model [ns per simulated microsecond]
     pub sm_ns_per_simulated_us: f64,
+    /// as [`InstructionSet::name`] has it
     pub instruction_set: &'static str,
 }
 

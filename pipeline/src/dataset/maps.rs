@@ -16,11 +16,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The table of all actuators' maps.
-pub const MAPS: &str = "maps/part-0000.parquet";
+pub(crate) const MAPS: &str = "maps/part-0000.parquet";
 
 /// The maps of one actuator, sequence and rest angle, from the features of its grid points.
 ///
 /// * `lenient` as in [`of_grid`]
+///
+/// # Errors
+/// As [`of_grid`].
 pub fn maps_of(
     d: &Dataset,
     actuator: usize,
@@ -106,7 +109,7 @@ impl Columns {
 }
 
 /// What `ema dataset maps` has made.
-pub struct Made {
+pub(crate) struct Made {
     pub sets: usize,
     /// maps that were left out because they are not monotone enough, by actuator
     pub left_out: Vec<String>,
@@ -177,6 +180,9 @@ fn each_set(
 }
 
 /// The maps of a dataset of one actuator, sequence and rest angle.
+///
+/// # Errors
+/// Refuses a dataset without grid, features that are not those of the plan, and what [`of_grid`] refuses.
 pub fn of_one(d: &Dataset, lenient: bool) -> Result<FailureMapSet> {
     let mut found = None;
     let chosen = Chosen {
@@ -199,7 +205,7 @@ pub fn of_one(d: &Dataset, lenient: bool) -> Result<FailureMapSet> {
 }
 
 /// Builds the maps of all actuators into the dataset.
-pub fn table(d: &Dataset) -> Result<Made> {
+pub(crate) fn table(d: &Dataset) -> Result<Made> {
     let mut made = Made {
         sets: 0,
         left_out: Vec::new(),
@@ -234,6 +240,10 @@ pub fn table(d: &Dataset) -> Result<Made> {
 /// actuator's parameters beside them.
 ///
 /// * `out` folder, or the file where there is one set
+///
+/// # Errors
+/// Refuses an actuator or rest angle that is not in the plan, several sets for one file, and what [`of_grid`]
+/// refuses; fails where a file cannot be written.
 pub fn files(d: &Dataset, chosen: &Chosen<'_>, out: &Path) -> Result<Vec<(PathBuf, FailureMapSet)>> {
     let mut sets = Vec::new();
     let mut owner = 0;
@@ -272,7 +282,7 @@ pub fn files(d: &Dataset, chosen: &Chosen<'_>, out: &Path) -> Result<Vec<(PathBu
 }
 
 /// Metadata of tables that are made from a dataset.
-pub fn pairs(d: &Dataset) -> Vec<(String, String)> {
+pub(crate) fn pairs(d: &Dataset) -> Vec<(String, String)> {
     [
         ("schema_version", schemas::SCHEMA_VERSION.to_string()),
         ("fleet", d.plan.name.clone()),

@@ -1,8 +1,8 @@
 //! Datasets on the ground: what a plan will cost, maps and diagnoses of every actuator, single runs.
 
-pub mod diagnose;
-pub mod estimate;
-pub mod export;
+pub(crate) mod diagnose;
+pub(crate) mod estimate;
+pub(crate) mod export;
 pub mod maps;
 
 use anyhow::Result;
@@ -43,25 +43,34 @@ pub fn make(plan: &DatasetPlan, storage: &Storage, title: &str) -> Result<Option
 
 /// A finished dataset.
 pub struct Dataset {
+    /// folder or bucket
     pub storage: Storage,
+    /// what it was made from
     pub plan: DatasetPlan,
+    /// what belongs to it
     pub manifest: Manifest,
     parts: Vec<Part>,
 }
 
 /// The features of some runs of one part.
-pub struct Rows<'a> {
+pub(crate) struct Rows<'a> {
     pub part: &'a Part,
     pub values: Vec<FeatureValues>,
 }
 
 impl Dataset {
     /// Opens a dataset that is put together.
+    ///
+    /// # Errors
+    /// Refuses a place that is no finished dataset.
     pub fn open(url: &str) -> Result<Self> {
         Self::of(Storage::open(url)?)
     }
 
     /// As [`Dataset::open`], where it is stored.
+    ///
+    /// # Errors
+    /// Refuses a dataset without plan, of another layout, or that is not put together yet.
     pub fn of(storage: Storage) -> Result<Self> {
         let (plan, _) = plan_of(&storage)?;
         let allowed = "a finished dataset; start ema simulate again, or run the missing shards and ema dataset merge";
@@ -79,7 +88,7 @@ impl Dataset {
     ///
     /// # Errors
     /// Features that are not those of the plan (ema dataset verify says more), and those of `take`.
-    pub fn each_actuator(&self, mut take: impl FnMut(usize, &[Rows<'_>]) -> Result<()>) -> Result<()> {
+    pub(crate) fn each_actuator(&self, mut take: impl FnMut(usize, &[Rows<'_>]) -> Result<()>) -> Result<()> {
         let by_file = |a: &Part, b: &Part| self.plan.features_file(a.actuator) == self.plan.features_file(b.actuator);
         for group in self.parts.chunk_by(by_file) {
             let path = features(self.plan.features_file(group[0].actuator));
@@ -107,13 +116,13 @@ impl Dataset {
     }
 
     /// The part that a run is of.
-    pub fn part_of(&self, run: u64) -> Option<&Part> {
+    pub(crate) fn part_of(&self, run: u64) -> Option<&Part> {
         self.parts.iter().find(|p| p.runs.contains(&run))
     }
 }
 
 /// Points of the grid, by sequence and rest angle.
-pub fn grids<'a>(rows: &'a [Rows<'a>]) -> Vec<(usize, usize, Vec<FeatureValues>)> {
+pub(crate) fn grids<'a>(rows: &'a [Rows<'a>]) -> Vec<(usize, usize, Vec<FeatureValues>)> {
     let mut list: Vec<(usize, usize, Vec<FeatureValues>)> = Vec::new();
     for r in rows.iter().filter(|r| r.part.kind == Kind::Map) {
         match list.last_mut() {

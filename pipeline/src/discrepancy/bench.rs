@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 /// A channel that a bench may have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum BenchChannel {
+pub(crate) enum BenchChannel {
     Time,
     Command,
     Position,
@@ -74,7 +74,7 @@ impl BenchChannel {
 
 /// Where the noise of a channel is known from.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Noise {
+pub(crate) enum Noise {
     /// rms of one sample, SI at the motor
     Known(f64),
     /// from runs with the role `repeat`
@@ -85,7 +85,7 @@ pub enum Noise {
 
 /// How a channel stands in the files.
 #[derive(Clone, Debug)]
-pub struct ChannelSpec {
+pub(crate) struct ChannelSpec {
     pub channel: BenchChannel,
     pub column: String,
     /// a column to be taken off it
@@ -103,7 +103,7 @@ pub struct ChannelSpec {
 
 /// A constant and how far it is trusted.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Known {
+pub(crate) struct Known {
     /// SI at the motor
     pub value: f64,
     /// relative, one sigma; 0 = fixed, `None` = free
@@ -113,7 +113,7 @@ pub struct Known {
 /// The controller's law: `w_ref = position_gain (command - position)`, limited;
 /// `u = speed_gain (w_ref - w) + integral_gain int (w_ref - w) dt`, limited.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ControllerLaw {
+pub(crate) struct ControllerLaw {
     /// [1/s]
     pub position_gain: f64,
     /// [drive unit per rad/s]
@@ -135,7 +135,7 @@ pub struct ControllerLaw {
 
 /// The machine on the bench; SI, motor side.
 #[derive(Clone, Debug)]
-pub struct Rig {
+pub(crate) struct Rig {
     pub linear: bool,
     /// metres in a radian of the motor
     pub lead: Option<f64>,
@@ -162,7 +162,7 @@ pub struct Rig {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
+pub(crate) enum Role {
     Fit,
     HeldOut,
     Baseline,
@@ -182,7 +182,7 @@ impl Role {
 
 /// A file of runs.
 #[derive(Clone, Debug)]
-pub struct RunSpec {
+pub(crate) struct RunSpec {
     pub file: PathBuf,
     pub role: Role,
     pub window_s: Option<(f64, f64)>,
@@ -196,10 +196,10 @@ pub struct RunSpec {
 /// A bench file.
 #[derive(Clone, Debug)]
 pub struct Bench {
-    pub file: String,
-    pub rig: Rig,
-    pub channels: Vec<ChannelSpec>,
-    pub runs: Vec<RunSpec>,
+    pub(crate) file: String,
+    pub(crate) rig: Rig,
+    pub(crate) channels: Vec<ChannelSpec>,
+    pub(crate) runs: Vec<RunSpec>,
 }
 
 /// Pieces of a recording that is a bench by itself.
@@ -246,6 +246,9 @@ fn known(s: &mut Section, key: &str, q: Quantity, lead: Option<f64>, default: Op
 
 impl Bench {
     /// A bench file, or a recording of the project's own, which is a bench by itself.
+    ///
+    /// # Errors
+    /// As [`Bench::read`]; refuses a recording that cannot be read.
     pub fn open(path: &Path, actuator: &ActuatorParameters) -> Result<Self> {
         if path.extension().is_some_and(|e| e == "parquet" || e == "csv") {
             return Self::of_recording(path, actuator);
@@ -288,6 +291,10 @@ impl Bench {
     }
 
     /// Reads a bench file; what it does not say of the rig is taken from the actuator.
+    ///
+    /// # Errors
+    /// Refuses keys that are not known, units and values that are not allowed, and a bench without run, time or
+    /// drive signal.
     pub fn read(path: &Path, actuator: &ActuatorParameters) -> Result<Self> {
         Self::from_section(toml_section::read(path)?, path, actuator)
     }
@@ -342,12 +349,12 @@ impl Bench {
         Ok(bench)
     }
 
-    pub fn channel(&self, c: BenchChannel) -> Option<&ChannelSpec> {
+    pub(crate) fn channel(&self, c: BenchChannel) -> Option<&ChannelSpec> {
         self.channels.iter().find(|s| s.channel == c)
     }
 
     /// Only an unsigned current: states can be compared, no equation can be set up.
-    pub fn is_comparison(&self) -> bool {
+    pub(crate) fn is_comparison(&self) -> bool {
         self.channel(self.rig.drive).is_none() && self.channel(BenchChannel::CurrentAbs).is_some()
     }
 }

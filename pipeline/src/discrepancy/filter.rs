@@ -73,8 +73,6 @@ impl Kernel {
 pub struct FilterBank {
     /// value, first derivative [1/s], second derivative [1/s2]
     pub order: [Kernel; 3],
-    /// frequency where the value has lost 3 dB [Hz]
-    pub corner_hz: f64,
 }
 
 impl FilterBank {
@@ -83,10 +81,10 @@ impl FilterBank {
     pub fn new(corner_hz: f64, rate_hz: f64, shift_s: f64) -> Self {
         // |H0|^2 = exp(-(sigma w)^2)
         let sigma = (0.5 * std::f64::consts::LN_2).sqrt() / (std::f64::consts::TAU * corner_hz) * rate_hz;
-        Self::of_sigma(sigma, rate_hz, shift_s, corner_hz)
+        Self::of_sigma(sigma, rate_hz, shift_s)
     }
 
-    fn of_sigma(sigma: f64, rate_hz: f64, shift_s: f64, corner_hz: f64) -> Self {
+    fn of_sigma(sigma: f64, rate_hz: f64, shift_s: f64) -> Self {
         let shift = shift_s * rate_hz;
         let whole = (REACH * sigma + shift.abs()).ceil() as i64;
         let gaussian = |shift: f64, reach: i64| -> (Vec<f64>, Vec<f64>) {
@@ -111,24 +109,21 @@ impl FilterBank {
         let h1h1 = kernel(&a1).convolved(&kernel(&b1));
         Self {
             order: [h0h0, h0h1, h1h1],
-            corner_hz,
         }
     }
 
     /// Lets values pass as they are and knows no derivatives: for samples that do not follow each other.
-    pub fn identity(rate_hz: f64) -> Self {
+    pub fn identity() -> Self {
         let kernel = |h: f64| Kernel { h: vec![h] };
         Self {
             order: [kernel(1.0), kernel(0.0), kernel(0.0)],
-            corner_hz: rate_hz,
         }
     }
 
     /// A light smoother: `h0*h0` with a standard deviation of `sigma` samples in all.
     pub fn smoother(sigma: f64, rate_hz: f64, shift_s: f64) -> Self {
         let each = sigma / std::f64::consts::SQRT_2;
-        let corner = (0.5 * std::f64::consts::LN_2).sqrt() * rate_hz / (std::f64::consts::TAU * each);
-        Self::of_sigma(each, rate_hz, shift_s, corner)
+        Self::of_sigma(each, rate_hz, shift_s)
     }
 
     pub fn half(&self) -> usize {

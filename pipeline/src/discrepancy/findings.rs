@@ -5,11 +5,15 @@ use serde_json::{Map, Value, json};
 /// An identified number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Identified {
+    /// parameter of an effect, or constant of the rig
     pub name: String,
+    /// in `unit`
     pub value: f64,
     /// 95 % interval
     pub lo: f64,
+    /// upper end; it may be infinite
     pub hi: f64,
+    /// SI at the motor unless it says otherwise
     pub unit: String,
     /// value of the model before, for constants
     pub nominal: Option<f64>,
@@ -24,54 +28,72 @@ pub struct FoundEffect {
     pub equation: String,
     /// the equation's term, as in the list of effects
     pub term: String,
+    /// its amplitudes and shape
     pub parameters: Vec<Identified>,
     /// of the excess energy of its equations, when it was added
     pub explained_share: f64,
+    /// the best candidate beside it in the same step
     pub runner_up: Option<String>,
+    /// effects that the data cannot tell from it
     pub ambiguous_with: Vec<String>,
     /// another name of the same term
     pub alias: Option<String>,
 }
 
-/// A root mean square, before and after.
+/// A root mean square, before and after. In a comparison `nominal` is the state's change against the baseline, and
+/// `retuned` and `last` are what a rise that all have in common leaves of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GapLine {
+    /// of the model as its file has it, sensors' imperfections allowed for
     pub nominal: f64,
+    /// its constants re-tuned
     pub retuned: f64,
+    /// with the effects that were found
     pub last: f64,
+    /// what the sensors' noise leaves; in a comparison the baseline against itself
     pub floor: f64,
 }
 
 /// The gap of one equation, told as that of the channel it predicts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChannelGap {
+    /// name of the channel
     pub channel: String,
+    /// name of the equation
     pub equation: String,
+    /// of the gap: the channel's
     pub unit: String,
+    /// on the runs that effects were looked for in
     pub fit: GapLine,
+    /// on those that were kept for the proof, where there are any
     pub heldout: Option<GapLine>,
 }
 
 /// A place where the gap is.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Region {
+    /// name of the equation
     pub equation: String,
     /// of the equation's excess energy
     pub share: f64,
     /// of its samples
     pub samples: f64,
+    /// in words
     pub text: String,
 }
 
 /// A candidate in the ranking of one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Leader {
+    /// from 1 on
     pub step: usize,
+    /// canonical name of the effect
     pub name: String,
     /// in log-likelihood
     pub gain: f64,
     /// of the excess energy before the step
     pub explained_share: f64,
+    /// with units, in words
     pub parameters: String,
     /// why it was taken or not
     pub note: String,
@@ -80,43 +102,67 @@ pub struct Leader {
 /// The residual of an equation along a signal: means in bins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Profile {
+    /// name of the equation
     pub equation: String,
+    /// of the residual
     pub unit: String,
+    /// name of the signal
     pub signal: String,
+    /// of `at`
     pub signal_unit: String,
+    /// mean of the signal in each bin, rising
     pub at: Vec<f64>,
+    /// mean residual in each bin with the constants re-tuned; in a comparison the baseline's current
     pub retuned: Vec<f64>,
+    /// with the effects; in a comparison the state's current
     pub last: Vec<f64>,
 }
 
 /// A piece of a held-out run: what was measured and what the models say.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trace {
+    /// name of the drive channel
     pub channel: String,
+    /// of all values
     pub unit: String,
+    /// name of the run
     pub run: String,
+    /// false where no run was kept for the proof
     pub heldout: bool,
+    /// of the samples
     pub time_s: Vec<f64>,
+    /// low-passed, as the equations have it
     pub measured: Vec<f64>,
+    /// by the model as its file has it
     pub nominal: Vec<f64>,
+    /// by the model with its constants re-tuned
     pub retuned: Vec<f64>,
+    /// by the model with the effects
     pub last: Vec<f64>,
 }
 
 /// All that a study has to say.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Findings {
+    /// file of the model, or `reference`
     pub model: String,
+    /// file of the bench
     pub bench: String,
+    /// `none`, `retune`, `named`, `named_with_remainder`, `ambiguous` or `unknown`
     pub verdict: String,
     /// the verdict in a sentence
     pub sentence: String,
+    /// in the order in which they were added
     pub effects: Vec<FoundEffect>,
+    /// constants of rig and sensors with their 95 % intervals
     pub retuned: Vec<Identified>,
     /// the drive channel: the gap that counts
     pub gap: Option<ChannelGap>,
+    /// the gap of every equation
     pub by_channel: Vec<ChannelGap>,
+    /// where the gap of the re-tuned model is
     pub regions: Vec<Region>,
+    /// of every step, the best seven
     pub leaders: Vec<Leader>,
     /// name, and why it could not be seen
     pub not_excited: Vec<(String, String)>,
@@ -124,6 +170,7 @@ pub struct Findings {
     pub missing: Vec<(String, String)>,
     /// share of the excess that has no name
     pub unnamed_share: f64,
+    /// the remainder in words, where one is worth it
     pub unnamed: Option<String>,
     /// shell command for what comes next
     pub next_command: Option<String>,
@@ -131,7 +178,9 @@ pub struct Findings {
     pub next_reason: String,
     /// the model's file, line by line: ' ', '+' or '-' in front
     pub diff: Vec<String>,
+    /// the most telling ones, four at most
     pub profiles: Vec<Profile>,
+    /// the stretch with the greatest gap
     pub traces: Vec<Trace>,
     /// name and value, for the head of the report
     pub facts: Vec<(String, String)>,

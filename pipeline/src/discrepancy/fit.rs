@@ -10,15 +10,17 @@ use sim_worker::effect::{Effect, EffectKind, Equation};
 /// An effect in the model under study.
 #[derive(Clone, Debug)]
 pub struct Term {
+    /// which effect
     pub kind: EffectKind,
     /// parameters that are not linear
     pub shape: Vec<f64>,
+    /// linear parameters, in the order of the effect's columns
     pub amplitudes: Vec<f64>,
 }
 
 /// A candidate's columns over the rows of a problem.
 #[derive(Clone, Debug)]
-pub struct Regressor {
+pub(crate) struct Regressor {
     /// what it adds without an amplitude
     pub fixed: Option<Vec<f64>>,
     pub linear: Vec<Vec<f64>>,
@@ -55,7 +57,7 @@ impl Regressor {
 }
 
 /// Orthonormal basis of what is fitted already, weighted, with the priors as further rows.
-pub struct Basis {
+pub(crate) struct Basis {
     q: Vec<Vec<f64>>,
     weights: Vec<f64>,
     extra: usize,
@@ -125,14 +127,14 @@ impl Basis {
 
 /// How well a model does.
 #[derive(Clone, Debug)]
-pub struct Score {
+pub(crate) struct Score {
     pub log_likelihood: f64,
     pub energy: [f64; 5],
     pub amplitudes: Vec<f64>,
 }
 
 /// What candidates are measured against.
-pub struct Scan<'a> {
+pub(crate) struct Scan<'a> {
     pub problem: &'a Problem,
     pub constants: &'a RigConstants,
     pub basis: Basis,
@@ -376,7 +378,7 @@ pub fn admissible(kind: EffectKind, amplitudes: &[f64]) -> bool {
 }
 
 /// Nelder and Mead's simplex; `f` keeps its best itself.
-pub fn simplex(start: &[f64], step: &[f64], calls: usize, mut f: impl FnMut(&[f64]) -> f64) {
+pub(crate) fn simplex(start: &[f64], step: &[f64], calls: usize, mut f: impl FnMut(&[f64]) -> f64) {
     let n = start.len();
     let mut points: Vec<(Vec<f64>, f64)> = vec![(start.to_vec(), f(start))];
     for i in 0..n {
@@ -428,18 +430,19 @@ pub fn simplex(start: &[f64], step: &[f64], calls: usize, mut f: impl FnMut(&[f6
 /// A fitted model.
 #[derive(Clone, Debug)]
 pub struct Fit {
+    /// the effects in it
     pub terms: Vec<Term>,
     /// relative deviations of the nuisance parameters
-    pub nuisance: Vec<f64>,
-    pub score: Score,
+    pub(crate) nuisance: Vec<f64>,
+    pub(crate) score: Score,
     /// unweighted residual rows
-    pub residual: Vec<f64>,
+    pub(crate) residual: Vec<f64>,
     /// covariance of nuisance parameters and amplitudes, in this order, for independent noise of `sigma`
-    pub sigma: [f64; 5],
+    pub(crate) sigma: [f64; 5],
 }
 
 /// The model's regressors on a problem.
-pub fn regressors(p: &Problem, terms: &[Term], c: &RigConstants) -> Vec<Regressor> {
+pub(crate) fn regressors(p: &Problem, terms: &[Term], c: &RigConstants) -> Vec<Regressor> {
     terms
         .par_iter()
         .map(|t| Regressor::new(p, t.kind, &t.shape, c))
@@ -447,7 +450,7 @@ pub fn regressors(p: &Problem, terms: &[Term], c: &RigConstants) -> Vec<Regresso
 }
 
 /// Left-hand side less the fixed parts, and the columns of the amplitudes.
-pub fn assembled<'a>(p: &Problem, regressors: &'a [Regressor]) -> (Vec<f64>, Vec<&'a Vec<f64>>) {
+pub(crate) fn assembled<'a>(p: &Problem, regressors: &'a [Regressor]) -> (Vec<f64>, Vec<&'a Vec<f64>>) {
     let mut y = p.y.clone();
     for f in regressors.iter().filter_map(|r| r.fixed.as_ref()) {
         y.iter_mut().zip(f).for_each(|(y, f)| *y -= f);
@@ -457,7 +460,7 @@ pub fn assembled<'a>(p: &Problem, regressors: &'a [Regressor]) -> (Vec<f64>, Vec
 
 /// Solves for nuisance parameters and amplitudes of terms whose shapes are given; the standard
 /// deviations of the equations are those of the residuals, in three rounds.
-pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Term], sigma0: [f64; 5]) -> Fit {
+pub(crate) fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Term], sigma0: [f64; 5]) -> Fit {
     let fit = solve_freely(p, c, nuisances, terms, sigma0);
     // a sensor is as good as it is: what goes further is not its error
     let mut held = nuisances.to_vec();
@@ -582,7 +585,7 @@ fn weighted(
 }
 
 /// Residual of a fitted model on other runs; only what belongs to single runs is fitted there.
-pub fn predicted(p: &Problem, c: &RigConstants, fit: &Fit) -> Vec<f64> {
+pub(crate) fn predicted(p: &Problem, c: &RigConstants, fit: &Fit) -> Vec<f64> {
     let regs = regressors(p, &fit.terms, c);
     let (mut r, further) = assembled(p, &regs);
     let amplitudes = fit.terms.iter().flat_map(|t| &t.amplitudes);
@@ -593,7 +596,7 @@ pub fn predicted(p: &Problem, c: &RigConstants, fit: &Fit) -> Vec<f64> {
 }
 
 /// Takes the columns of single runs out of a residual.
-pub fn without_local(p: &Problem, r: Vec<f64>, sigma: &[f64; 5]) -> Vec<f64> {
+pub(crate) fn without_local(p: &Problem, r: Vec<f64>, sigma: &[f64; 5]) -> Vec<f64> {
     if p.local.is_empty() {
         return r;
     }
@@ -602,12 +605,12 @@ pub fn without_local(p: &Problem, r: Vec<f64>, sigma: &[f64; 5]) -> Vec<f64> {
 }
 
 /// The effect of a term, in its canonical parameters.
-pub fn effect_of(t: &Term, c: &RigConstants, p: &Problem) -> Effect {
+pub(crate) fn effect_of(t: &Term, c: &RigConstants, p: &Problem) -> Effect {
     columns::effect(t.kind, &t.shape, &t.amplitudes, c.effect.coulomb, hottest(p))
 }
 
 /// Greatest measured rise over 20 degC [K].
-pub fn hottest(p: &Problem) -> f64 {
+pub(crate) fn hottest(p: &Problem) -> f64 {
     let all = p.signals.iter().filter_map(|s| s.temperature.as_ref()).flatten();
     all.fold(0.0, |a: f64, t| {
         a.max(t - sim_worker::effect::REFERENCE_TEMPERATURE_DEGC)

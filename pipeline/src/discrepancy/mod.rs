@@ -2,31 +2,31 @@
 //! the model, and the gap shown to shrink on data that was not used to find it.
 
 pub mod bench;
-pub mod check;
-pub mod closed_loop;
-pub mod columns;
-pub mod compare;
+pub(crate) mod check;
+pub(crate) mod closed_loop;
+pub(crate) mod columns;
+pub(crate) mod compare;
 mod compare_motion;
-pub mod filter;
+pub(crate) mod filter;
 pub mod findings;
 pub mod fit;
-pub mod html;
+pub(crate) mod html;
 mod html_figures;
-pub mod intervals;
-pub mod next;
+pub(crate) mod intervals;
+pub(crate) mod next;
 mod own;
-pub mod persist;
-pub mod places;
-pub mod problem;
+pub(crate) mod persist;
+pub(crate) mod places;
+pub(crate) mod problem;
 pub mod recording;
-pub mod remainder;
+pub(crate) mod remainder;
 mod run;
 pub mod select;
-pub mod shapes;
-pub mod signals;
+pub(crate) mod shapes;
+pub(crate) mod signals;
 pub mod study;
-pub mod table;
-pub mod tell;
-pub mod units;
+pub(crate) mod table;
+pub(crate) mod tell;
+pub(crate) mod units;
 
 pub use run::{REFERENCE, Written, study_file, study_into};

@@ -16,34 +16,38 @@ const JUMP: f64 = 1.5;
 #[derive(Clone, Debug)]
 pub struct Run {
     /// file and what of it
-    pub name: String,
-    pub role: Role,
-    pub rate_hz: f64,
+    pub(crate) name: String,
+    pub(crate) role: Role,
+    pub(crate) rate_hz: f64,
     /// time of the first sample [s]
-    pub start_s: f64,
-    pub samples: usize,
+    pub(crate) start_s: f64,
+    pub(crate) samples: usize,
     channels: BTreeMap<BenchChannel, Vec<f64>>,
     /// hash of the file
-    pub hash: String,
+    pub(crate) hash: String,
     /// the columns of `split` and `where`, with their values
-    pub labels: Vec<(String, String)>,
+    pub(crate) labels: Vec<(String, String)>,
     /// a friction map: samples are means at one speed each
-    pub steady: bool,
+    pub(crate) steady: bool,
     /// scatter of the means at one speed
-    pub spread: BTreeMap<BenchChannel, f64>,
+    pub(crate) spread: BTreeMap<BenchChannel, f64>,
 }
 
 impl Run {
-    pub fn channel(&self, c: BenchChannel) -> Option<&[f64]> {
+    pub(crate) fn channel(&self, c: BenchChannel) -> Option<&[f64]> {
         self.channels.get(&c).map(Vec::as_slice)
     }
 
-    pub fn duration_s(&self) -> f64 {
+    pub(crate) fn duration_s(&self) -> f64 {
         self.samples as f64 / self.rate_hz
     }
 }
 
 /// Reads all runs of a bench; a file is read once.
+///
+/// # Errors
+/// Refuses files that cannot be read, columns that are missing, values that are not finite, and clocks that
+/// jump.
 pub fn read_runs(bench: &Bench) -> Result<Vec<Run>> {
     let mut tables: BTreeMap<PathBuf, Table> = BTreeMap::new();
     let mut runs = Vec::new();
@@ -64,7 +68,7 @@ pub fn read_runs(bench: &Bench) -> Result<Vec<Run>> {
 }
 
 /// Pieces of a run at one speed.
-pub const PIECES: usize = 10;
+pub(crate) const PIECES: usize = 10;
 
 /// Runs at one speed each as one: the means of ten pieces of each, in the order of the speed.
 fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
@@ -271,7 +275,7 @@ fn evened(time: &[f64], x: &[f64], step: f64) -> Vec<f64> {
 
 /// Noise of a channel.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct ChannelNoise {
+pub(crate) struct ChannelNoise {
     /// of one sample, SI at the motor
     pub rms: f64,
     /// correlation from sample to sample (first-order, 0 = white)
@@ -279,7 +283,7 @@ pub struct ChannelNoise {
 }
 
 /// Noise of a channel, resolution included; SI at the motor.
-pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
+pub(crate) fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
     let spreads: Vec<f64> = runs
         .iter()
         .filter_map(|r| r.spread.get(&spec.channel))

@@ -16,19 +16,28 @@ pub const REFERENCE: &str = "reference";
 
 /// What a study has written, and what it found.
 pub struct Written {
+    /// as in `report.json`
     pub findings: Findings,
     /// the actuator's file with what was found, where something was
     pub model: Option<PathBuf>,
+    /// the page `report.html`
     pub report: Option<PathBuf>,
 }
 
 /// Studies the runs of a bench against an actuator's file.
+///
+/// # Errors
+/// Refuses files that cannot be read and measurements that no study can be made of, with file, place and what
+/// is allowed.
 pub fn study_file(model: &Path, bench: &Path, tell: &dyn Fn(&str)) -> Result<Findings> {
     Ok(studied(model, bench, None, tell)?.findings)
 }
 
 /// As [`study_file`]; writes `report.json`, `report.html`, and where something was found
 /// `actuator.toml`, into `out`.
+///
+/// # Errors
+/// As [`study_file`]; fails where `out` cannot be written.
 pub fn study_into(model: &Path, bench: &Path, out: &Path, tell: &dyn Fn(&str)) -> Result<Written> {
     studied(model, bench, Some(out), tell)
 }

@@ -6,7 +6,7 @@ use super::columns::{self, RigConstants};
 use super::fit::{self, Fit, Regressor, Scan, Score, Term};
 use super::problem::{self, Nuisance, Problem};
 use super::recording::Run;
-use super::signals::{self, Clock, NoiseTable};
+use super::signals::{self, Clock};
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
 
@@ -15,15 +15,14 @@ const STRANGE: f64 = 2.5;
 
 /// All that a study works on.
 pub struct Material {
-    pub bench: Bench,
-    pub runs: Vec<Run>,
-    pub noise: NoiseTable,
-    pub clock: Clock,
-    pub equations: Vec<Equation>,
-    pub nuisances: Vec<Nuisance>,
-    pub constants: RigConstants,
-    pub fit: Problem,
-    pub held: Option<Problem>,
+    pub(crate) bench: Bench,
+    pub(crate) runs: Vec<Run>,
+    pub(crate) clock: Clock,
+    pub(crate) equations: Vec<Equation>,
+    pub(crate) nuisances: Vec<Nuisance>,
+    pub(crate) constants: RigConstants,
+    pub(crate) fit: Problem,
+    pub(crate) held: Option<Problem>,
     /// effects that the model has already
     known: Vec<Effect>,
 }
@@ -31,10 +30,11 @@ pub struct Material {
 /// A candidate after its shape was refined.
 #[derive(Clone, Debug)]
 pub struct Ranked {
+    /// with its best shape and amplitudes
     pub term: Term,
-    pub score: Score,
+    pub(crate) score: Score,
     /// gain in log-likelihood over the model without it
-    pub gain: f64,
+    pub(crate) gain: f64,
 }
 
 impl Material {
@@ -84,7 +84,6 @@ impl Material {
         Self {
             bench,
             runs,
-            noise,
             clock,
             equations,
             nuisances,
@@ -97,7 +96,7 @@ impl Material {
 
     /// The same runs with the equations set up around the constants of a fit, so that what is left
     /// of the deviations is small; the priors stay where they were.
-    pub fn around(&self, fit: &Fit) -> Self {
+    pub(crate) fn around(&self, fit: &Fit) -> Self {
         let mut bench = self.bench.clone();
         let mut moved = Vec::new();
         for (n, x) in self.nuisances.iter().zip(&fit.nuisance) {
@@ -144,16 +143,16 @@ impl Material {
     }
 
     /// Standard deviations to begin with: what is left when only constants are re-tuned.
-    pub fn first_sigma(&self) -> [f64; 5] {
+    pub(crate) fn first_sigma(&self) -> [f64; 5] {
         self.fit.floor.map(|f| f.max(1e-300))
     }
 
-    pub fn solve(&self, terms: &[Term], sigma: [f64; 5]) -> Fit {
+    pub(crate) fn solve(&self, terms: &[Term], sigma: [f64; 5]) -> Fit {
         fit::solve(&self.fit, &self.constants, &self.nuisances, terms, sigma)
     }
 
     /// All candidates on top of a model, best first.
-    pub fn scan(&self, model: &Fit, kinds: &[EffectKind]) -> Vec<Ranked> {
+    pub(crate) fn scan(&self, model: &Fit, kinds: &[EffectKind]) -> Vec<Ranked> {
         let regs = fit::regressors(&self.fit, &model.terms, &self.constants);
         let (y, further) = fit::assembled(&self.fit, &regs);
         let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, model.sigma);
@@ -173,7 +172,7 @@ impl Material {
     }
 
     /// Refines the shapes of all terms in turn, then solves.
-    pub fn polish(&self, model: &Fit, rounds: usize) -> Fit {
+    pub(crate) fn polish(&self, model: &Fit, rounds: usize) -> Fit {
         let mut terms = model.terms.clone();
         let mut sigma = model.sigma;
         for _ in 0..rounds {
@@ -199,7 +198,7 @@ impl Material {
     }
 
     /// Share of the rows' greatest possible gap: rms by equation over the floor.
-    pub fn over_floor(&self, p: &Problem, energy: &[f64; 5]) -> [f64; 5] {
+    pub(crate) fn over_floor(&self, p: &Problem, energy: &[f64; 5]) -> [f64; 5] {
         std::array::from_fn(|e| {
             let n = p.rows_of(Equation::ALL[e]) as f64;
             if n > 0.0 {
@@ -210,7 +209,7 @@ impl Material {
         })
     }
 
-    pub fn has(&self, c: BenchChannel) -> bool {
+    pub(crate) fn has(&self, c: BenchChannel) -> bool {
         self.runs.iter().all(|r| r.channel(c).is_some())
     }
 }

@@ -185,7 +185,7 @@ impl Clock {
     /// The filters for signals that are on the common clock already.
     pub fn common(&self) -> FilterBank {
         if self.steady {
-            return FilterBank::identity(self.rate_hz);
+            return FilterBank::identity();
         }
         FilterBank::new(self.corner_hz, self.rate_hz, 0.0)
     }

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use sim_worker::effect::{EffectKind, Equation};
 
 /// Most effects that one study adds.
-pub const MOST_EFFECTS: usize = 4;
+pub(crate) const MOST_EFFECTS: usize = 4;
 /// Smallest gain in log-likelihood of an effect: about one false alarm in a thousand studies over
 /// the whole list if residuals were as the noise says (assumed; the benchmark holds the true rate).
 const LEAST_GAIN: f64 = 15.0;
@@ -35,19 +35,19 @@ const PAIRS: usize = 4;
 const BLOCK_S: f64 = 0.4;
 const DRAWS: usize = 400;
 /// An effect is named when it and those before it explain this share of the excess energy.
-pub const NAMED_SHARE: f64 = 0.70;
+pub(crate) const NAMED_SHARE: f64 = 0.70;
 /// Where every equation has this share of its excess explained, nothing remains to be named.
-pub const CLEAN_SHARE: f64 = 0.85;
+pub(crate) const CLEAN_SHARE: f64 = 0.85;
 /// Gap over the noise in torque or voltage beyond which nothing that was found is the cause (assumed).
 const FAR: f64 = 3.5;
 /// Energy over that of the noise that cannot be the noise's, with nothing found (assumed).
 const BEYOND: f64 = 2.5;
 /// A table that takes more than this share of an equation's energy has found something (assumed).
-pub const UNKNOWN_SHARE: f64 = 0.10;
+pub(crate) const UNKNOWN_SHARE: f64 = 0.10;
 
 /// How a study ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub(crate) enum Verdict {
     None,
     Retune,
     Named,
@@ -72,50 +72,51 @@ impl Verdict {
 /// One accepted or refused effect.
 #[derive(Clone, Debug)]
 pub struct Step {
+    /// candidates, the best first
     pub ranked: Vec<Ranked>,
-    /// energies by equation on the fit runs, before and after
-    pub before: [f64; 5],
-    pub after: [f64; 5],
-    /// same on the held-out runs
-    pub held_before: [f64; 5],
-    pub held_after: [f64; 5],
-    /// 2.5 % quantile of the held-out gain over its mean
-    pub held_low: f64,
-    pub accepted: bool,
+    /// energies by equation on the fit runs, before
+    pub(crate) before: [f64; 5],
+    /// same on the held-out runs, before and after
+    pub(crate) held_before: [f64; 5],
+    pub(crate) held_after: [f64; 5],
+    pub(crate) accepted: bool,
     /// what was added: one effect, or two that only go together
-    pub taken: Vec<EffectKind>,
-    pub why_not: &'static str,
+    pub(crate) taken: Vec<EffectKind>,
+    pub(crate) why_not: &'static str,
 }
 
+/// What a study comes to: verdict, models before and after, and the steps between.
 pub struct Outcome {
-    pub verdict: Verdict,
-    pub material: Material,
-    pub nominal: Fit,
-    pub retuned: Fit,
+    pub(crate) verdict: Verdict,
+    pub(crate) material: Material,
+    pub(crate) nominal: Fit,
+    pub(crate) retuned: Fit,
+    /// constants re-tuned, with the effects that were accepted
     pub model: Fit,
+    /// in their order; the last one may have been refused
     pub steps: Vec<Step>,
     /// by equation: share of the excess that the effects explain, and that a table would still gain
-    pub explained: f64,
-    pub remainder: f64,
+    pub(crate) explained: f64,
+    pub(crate) remainder: f64,
     /// kinds that cannot be told from the last one
-    pub ambiguous_with: Vec<EffectKind>,
+    pub(crate) ambiguous_with: Vec<EffectKind>,
     /// nuisance parameters around the model's own constants
-    pub first_nuisances: Vec<Nuisance>,
+    pub(crate) first_nuisances: Vec<Nuisance>,
     /// held-out energies by equation: nominal, re-tuned, with the effects
-    pub held_nominal: [f64; 5],
-    pub held_retuned: [f64; 5],
-    pub held_model: [f64; 5],
+    pub(crate) held_nominal: [f64; 5],
+    pub(crate) held_retuned: [f64; 5],
+    pub(crate) held_model: [f64; 5],
     /// energies on the fit runs, only re-tuned
-    pub retuned_fit: [f64; 5],
+    pub(crate) retuned_fit: [f64; 5],
     /// residual rows on the held-out runs: re-tuned, with the effects; nominal, and its factor to the drive channel
-    pub held_residuals: (Vec<f64>, Vec<f64>),
-    pub held_nominal_residual: Vec<f64>,
-    pub nominal_to_channel: f64,
+    pub(crate) held_residuals: (Vec<f64>, Vec<f64>),
+    pub(crate) held_nominal_residual: Vec<f64>,
+    pub(crate) nominal_to_channel: f64,
 }
 
 /// By equation: share of the held-out excess over the noise that was explained; `None` where there
 /// was none worth the name.
-pub fn shares(p: &Problem, before: &[f64; 5], after: &[f64; 5]) -> [Option<f64>; 5] {
+pub(crate) fn shares(p: &Problem, before: &[f64; 5], after: &[f64; 5]) -> [Option<f64>; 5] {
     std::array::from_fn(|e| {
         let n = p.rows_of(Equation::ALL[e]) as f64;
         let floor = n * p.floor[e].powi(2);
@@ -130,7 +131,7 @@ pub fn shares(p: &Problem, before: &[f64; 5], after: &[f64; 5]) -> [Option<f64>;
 }
 
 /// The shares as one: weighted by the logarithm of how far each equation was off.
-pub fn overall(p: &Problem, before: &[f64; 5], shares: &[Option<f64>; 5]) -> f64 {
+pub(crate) fn overall(p: &Problem, before: &[f64; 5], shares: &[Option<f64>; 5]) -> f64 {
     let (mut sum, mut weights) = (0.0, 0.0);
     for e in 0..5 {
         if let Some(share) = shares[e] {
@@ -144,8 +145,8 @@ pub fn overall(p: &Problem, before: &[f64; 5], shares: &[Option<f64>; 5]) -> f64
 }
 
 impl Material {
-    /// Held-out gain of one model over another: whether it holds in 97.5 % of block draws.
-    fn held_gain(&self, before: &[f64], after: &[f64], sigma: &[f64; 5]) -> (f64, f64) {
+    /// Held-out gain of one model over another that holds in 97.5 % of block draws.
+    fn held_gain(&self, before: &[f64], after: &[f64], sigma: &[f64; 5]) -> f64 {
         let held = self.held.as_ref().unwrap_or(&self.fit);
         let length = self.clock.block(BLOCK_S);
         let mut blocks: std::collections::BTreeMap<(usize, usize), f64> = Default::default();
@@ -157,7 +158,6 @@ impl Material {
             }
         }
         let values: Vec<f64> = blocks.into_values().collect();
-        let mean = values.iter().sum::<f64>();
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut draws: Vec<f64> = (0..DRAWS)
             .map(|_| {
@@ -167,11 +167,11 @@ impl Material {
             })
             .collect();
         draws.sort_by(f64::total_cmp);
-        (mean, draws[DRAWS / 40])
+        draws[DRAWS / 40]
     }
 
     /// Residual of a model on the held-out runs (on the fit runs where there are none).
-    pub fn held_residual(&self, fit: &Fit) -> Vec<f64> {
+    pub(crate) fn held_residual(&self, fit: &Fit) -> Vec<f64> {
         match &self.held {
             Some(h) => fit::predicted(h, &self.constants, fit),
             None => fit.residual.clone(),
@@ -192,7 +192,7 @@ impl Material {
         r
     }
 
-    pub fn held_problem(&self) -> &Problem {
+    pub(crate) fn held_problem(&self) -> &Problem {
         self.held.as_ref().unwrap_or(&self.fit)
     }
 
@@ -368,7 +368,7 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
 fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked]) -> Step {
     let held = m.held_problem();
     let (before, after) = (m.judged_residual(model), m.judged_residual(next));
-    let (mean, low) = m.held_gain(&before, &after, &next.sigma);
+    let low = m.held_gain(&before, &after, &next.sigma);
     let (held_before, held_after) = (held.energy(&before), held.energy(&after));
     let worth = share_of_equations(&held_before, &held_after);
     // a mass, a friction below zero is no machine
@@ -398,10 +398,8 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked]) -
     };
     Step {
         before: model.score.energy,
-        after: next.score.energy,
         held_before,
         held_after,
-        held_low: low / mean.abs().max(1e-300),
         accepted: why_not.is_empty(),
         taken: next.terms[model.terms.len()..].iter().map(|t| t.kind).collect(),
         why_not,
