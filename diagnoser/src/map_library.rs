@@ -47,24 +47,11 @@ impl MapKey {
     pub fn describe(&self) -> String {
         self.0.describe()
     }
-
-    fn bits(&self) -> (&str, &str, &str, u64, u64, bool) {
-        let k = &self.0;
-        let (rate, angle) = (k.rate_hz.to_bits(), k.rest_angle_rad.to_bits());
-        (
-            &k.parameters,
-            &k.sequence,
-            &k.sensors,
-            rate,
-            angle,
-            k.equivalent_current,
-        )
-    }
 }
 
 impl PartialEq for MapKey {
     fn eq(&self, other: &Self) -> bool {
-        self.bits() == other.bits()
+        self.0.bits() == other.0.bits()
     }
 }
 
@@ -72,7 +59,7 @@ impl Eq for MapKey {}
 
 impl Hash for MapKey {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        self.bits().hash(state);
+        self.0.bits().hash(state);
     }
 }
 

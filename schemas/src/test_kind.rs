@@ -74,6 +74,13 @@ impl TestKind {
         }
     }
 
+    /// Every bit of it but the load, for keys: whoever asks for maps may not know the load.
+    pub fn bits(&self) -> (&str, &str, &str, u64, u64, bool) {
+        let (rate, angle) = (self.rate_hz.to_bits(), self.rest_angle_rad.to_bits());
+        let (parameters, sequence, sensors) = (&self.parameters, &self.sequence, &self.sensors);
+        (parameters, sequence, sensors, rate, angle, self.equivalent_current)
+    }
+
     /// What P2 is taken from, in words.
     pub fn currents(&self) -> &'static str {
         if self.equivalent_current {

@@ -81,7 +81,11 @@ fn regress_diagnoses_of_random_recordings() {
 fn regress_diagnoses_of_the_independent_recordings() {
     let Some(dir) = folder("EMA_REFERENCE_DIR") else { return };
     for (name, diagnosis) in fixture()["references"].as_object().unwrap() {
-        assert_eq!(json(&["diagnose", text(&dir.join(name)), "--json"]), *diagnosis, "{name}");
+        assert_eq!(
+            json(&["diagnose", text(&dir.join(name)), "--json"]),
+            *diagnosis,
+            "{name}"
+        );
     }
 }
 

@@ -1,6 +1,6 @@
 //! The dataset of a single actuator: a fleet of one.
 
-use super::plan::DatasetPlan;
+use super::plan::{DatasetPlan, conditions_toml};
 use crate::noise::FEATURE_SEEDS;
 use crate::setup::TestSetup;
 use schemas::channel::ChannelSet;
@@ -52,13 +52,9 @@ impl DatasetPlan {
         let name = plain_name(&s.actuator.name);
         let mut text = format!(
             "name = \"{name}\"\nseed = {}\nactuator = \"actuator.toml\"\nsequences = [\"sequence.toml\"]\ngrid = \"grid.toml\"\n\
-             sensors = \"{}\"\nrate_hz = {:?}\nrest_angle_rad = {angles:?}\nload_n_m = {:?}\nfeature_seeds = {FEATURE_SEEDS}\n\
-             currents = \"{}\"\n",
+             feature_seeds = {FEATURE_SEEDS}\n{}",
             one.seed,
-            if s.sensors.is_some() { "sensors.toml" } else { "none" },
-            s.rate_hz,
-            s.load_n_m,
-            if s.equivalent_current { "i_eq" } else { "phases" },
+            conditions_toml(s, &angles),
         );
         text += &format!("\n[[actuators]]\ntail = \"{name}\"\n");
         if let Some(channels) = one.telemetry {

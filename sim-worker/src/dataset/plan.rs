@@ -418,6 +418,16 @@ impl DatasetPlan {
     }
 }
 
+/// The keys of a plan that say how one actuator's tests are done, as [`DatasetPlan::parse`] reads them.
+pub(super) fn conditions_toml(s: &TestSetup, rest_angles_rad: &[f64]) -> String {
+    let sensors = if s.sensors.is_some() { "sensors.toml" } else { "none" };
+    let currents = if s.equivalent_current { "i_eq" } else { "phases" };
+    let (rate, load) = (s.rate_hz, s.load_n_m);
+    format!(
+        "sensors = \"{sensors}\"\nrate_hz = {rate:?}\nrest_angle_rad = {rest_angles_rad:?}\nload_n_m = {load:?}\ncurrents = \"{currents}\"\n"
+    )
+}
+
 /// A text as TOML writes it, over several lines.
 pub(super) fn several_lines(text: &str) -> String {
     let escaped = text.replace('\\', "\\\\").replace('"', "\\\"").replace('\r', "\\r");
