@@ -14,7 +14,7 @@ macro_rules! channels {
         /// A telemetry channel.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[repr(usize)]
-        pub enum Channel { $(#[doc = $meaning] $variant),+ }
+        pub enum Channel { $(#[doc = concat!($meaning, " [", $unit, "], column `", $name, "`")] $variant),+ }
 
         impl Channel {
             /// All channels, in the order of columns.
@@ -25,10 +25,13 @@ macro_rules! channels {
             pub fn name(self) -> &'static str { match self { $(Channel::$variant => $name),+ } }
             /// SI unit.
             pub fn unit(self) -> &'static str { match self { $(Channel::$variant => $unit),+ } }
+            /// How a sample stands for its interval.
             pub fn sampling(self) -> Sampling { match self { $(Channel::$variant => Sampling::$sampling),+ } }
             /// Recorded unless asked otherwise.
             pub fn is_basic(self) -> bool { match self { $(Channel::$variant => $basic),+ } }
+            /// What it is, in words; as in the table of `README.md`.
             pub fn meaning(self) -> &'static str { match self { $(Channel::$variant => $meaning),+ } }
+            /// The channel of a column; none for a name that the table does not have.
             pub fn from_name(name: &str) -> Option<Self> { match name { $($name => Some(Channel::$variant),)+ _ => None } }
         }
     };
@@ -53,7 +56,7 @@ channels! {
     Temperature "temperature" "deg C" Mean false "winding temperature",
 }
 
-/// A set of channels.
+/// A set of channels: bit `n` for channel number `n` of [`Channel::ALL`], counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct ChannelSet(pub u32);
 
@@ -62,15 +65,19 @@ impl ChannelSet {
     pub fn basic() -> Self {
         Self::of(Channel::ALL.iter().copied().filter(|c| c.is_basic()))
     }
+    /// The set of the given channels; one that comes twice counts once.
     pub fn of(channels: impl IntoIterator<Item = Channel>) -> Self {
         Self(channels.into_iter().fold(0, |s, c| s | 1 << c as u32))
     }
+    /// Whether the channel is in the set.
     pub fn contains(self, c: Channel) -> bool {
         self.0 >> c as u32 & 1 == 1
     }
+    /// The set with one channel more.
     pub fn with(self, c: Channel) -> Self {
         Self(self.0 | 1 << c as u32)
     }
+    /// Its channels, in the order of columns.
     pub fn iter(self) -> impl Iterator<Item = Channel> {
         Channel::ALL.iter().copied().filter(move |&c| self.contains(c))
     }

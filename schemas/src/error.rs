@@ -9,24 +9,41 @@ pub enum Error {
     /// A value that the format or physics forbids.
     #[error("{file}: {place}: found {found}; allowed: {allowed}")]
     Bad {
+        /// file, object or source (`command line`, `environment`)
         file: String,
+        /// key, column, line or place in it
         place: String,
+        /// what is there
         found: String,
+        /// what may be there, in words
         allowed: String,
     },
     /// The operating system refused.
     #[error("{file}: {what}: {why}")]
     Io {
+        /// file that the operation was on
         file: String,
+        /// what failed, in words: `cannot be read`, `cannot be written` ...
         what: &'static str,
+        /// the system's reason
         why: String,
     },
     /// Shared memory or a network refused.
     #[error("{service}: {why}")]
-    Stream { service: String, why: String },
+    Stream {
+        /// service of shared memory, or address
+        service: String,
+        /// what failed and why, in one line
+        why: String,
+    },
     /// A file that is not what its name says.
     #[error("{file}: {why}")]
-    Torn { file: String, why: String },
+    Torn {
+        /// file or object
+        file: String,
+        /// what is wrong with it, in one line
+        why: String,
+    },
 }
 
 /// Exit code: finished, but something is missing (an incomplete diagnosis, lost frames).
@@ -49,6 +66,7 @@ impl Error {
         }
     }
 
+    /// A value that is not allowed, see [`Error::Bad`].
     pub fn bad(
         file: impl Into<String>,
         place: impl Into<String>,
@@ -63,6 +81,9 @@ impl Error {
         }
     }
 
+    /// A refusal of the operating system, see [`Error::Io`].
+    ///
+    /// * `what` failed; `cannot be read` and `is in use` are bad input to [`Error::exit_code`]
     pub fn io(file: &Path, what: &'static str, why: std::io::Error) -> Self {
         Self::Io {
             file: file.display().to_string(),
@@ -71,6 +92,7 @@ impl Error {
         }
     }
 
+    /// A file that is not what its name says, see [`Error::Torn`].
     pub fn torn(file: &Path, why: impl std::fmt::Display) -> Self {
         Self::Torn {
             file: file.display().to_string(),
@@ -79,10 +101,14 @@ impl Error {
     }
 }
 
+/// What everything that reads, writes or checks gives.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Writes `bytes` under a temporary name beside `path` and renames it: a reader sees the whole
 /// file or none.
+///
+/// # Errors
+/// What the disk refuses; the file under `path` is then the old one, or none.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     use std::io::Write;
     let tmp = temporary(path);

@@ -17,6 +17,9 @@ impl FaultState {
     pub const NOMINAL: Self = Self { fsj: 1.0, zeta: 0.0 };
 
     /// The pair, or the place, value and allowed range of the first value that physics forbids.
+    ///
+    /// # Errors
+    /// A friction factor that is negative or not finite, an eccentricity outside `0 <= zeta < 1`.
     pub fn new(fsj: f64, zeta: f64) -> Result<Self, (&'static str, f64, &'static str)> {
         if !(fsj.is_finite() && fsj >= 0.0) {
             return Err((
@@ -35,6 +38,7 @@ impl FaultState {
 /// Grid of fault pairs: every FSJ with every zeta.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultGrid {
+    /// for messages and tables; does not enter the fingerprint
     pub name: String,
     /// strictly rising [-]
     pub fsj: Vec<f64>,
@@ -77,17 +81,21 @@ impl FaultGrid {
     }
 }
 
-/// Closed interval.
+/// Closed interval, in the unit of what it is of.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
+    /// lower bound, included
     pub lo: f64,
+    /// upper bound, included
     pub hi: f64,
 }
 
 impl Interval {
+    /// `hi - lo`, in the unit of the bounds.
     pub fn width(self) -> f64 {
         self.hi - self.lo
     }
+    /// Whether `lo <= x <= hi`; no interval holds NaN.
     pub fn contains(self, x: f64) -> bool {
         self.lo <= x && x <= self.hi
     }

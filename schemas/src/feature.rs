@@ -27,6 +27,7 @@ macro_rules! raw_features {
         }
 
         impl RawFeatures {
+            /// Number of raw features.
             pub const COUNT: usize = Raw::ALL.len();
             /// Columns of what is measured, without the rest angle.
             pub const COLUMNS: [&str; Self::COUNT] = [$(concat!($name, ending!($unit))),+];
@@ -126,11 +127,15 @@ macro_rules! features {
             pub fn name(self) -> &'static str { match self { $(Feature::$variant => $name),+ } }
             /// Column and JSON key: the name with the unit.
             pub fn key(self) -> &'static str { match self { $(Feature::$variant => concat!($name, ending!($unit))),+ } }
+            /// Unit of the value; `-` for a ratio.
             pub fn unit(self) -> &'static str { match self { $(Feature::$variant => $unit),+ } }
+            /// What it is for.
             pub const fn role(self) -> Role { match self { $(Feature::$variant => Role::$role),+ } }
             /// Direction along (FSJ, zeta): +1 where the feature rises, -1 where it falls.
             pub fn direction(self) -> (f64, f64) { match self { $(Feature::$variant => ($along, $across)),+ } }
+            /// How it is formed from raw features.
             pub fn form(self) -> Form { match self { $(Feature::$variant => Form::$form($(Raw::$raw),+)),+ } }
+            /// Heading of figures and tables, with the segment that it is taken from.
             pub fn title(self) -> &'static str { match self { $(Feature::$variant => $title),+ } }
         }
     };
@@ -166,6 +171,7 @@ features! {
 }
 
 impl Feature {
+    /// Number of features, those that are only shown included.
     pub const COUNT: usize = Self::TABLE.len();
     /// Those that failure maps locate faults by.
     pub const ALL: [Feature; number(Role::Locates)] = of_role(Role::Locates);
@@ -311,6 +317,7 @@ impl Features {
         Self(Feature::TABLE.map(|f| f.value(raw, nominal)))
     }
 
+    /// A value in the unit of the feature; none where it is not known.
     pub fn get(&self, feature: Feature) -> Option<f64> {
         self.0[feature as usize]
     }

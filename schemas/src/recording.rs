@@ -22,10 +22,13 @@ use std::sync::Arc;
 /// What made a file; stored in its key-value metadata under `ema.*`.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Provenance {
+    /// name of the actuator
     pub actuator: String,
     /// fingerprint of the parameters
     pub parameters: String,
+    /// name of the sequence
     pub sequence: String,
+    /// fingerprint of the sequence
     pub sequence_fingerprint: String,
     /// fingerprint of the fault grid, empty for a single run
     pub grid: String,
@@ -33,10 +36,13 @@ pub struct Provenance {
     pub sensors: String,
     /// effects beyond the base model, comma separated
     pub effects: String,
+    /// telemetry rate [Hz]
     pub rate_hz: f64,
+    /// step of the simulation [s]
     pub step_s: f64,
     /// constant load torque [N m, motor side]
     pub load_n_m: f64,
+    /// seed of the sensor noise; in a dataset that of run number 0, each run adds its number
     pub seed: u64,
     /// source revision of the program
     pub commit: String,
@@ -69,6 +75,9 @@ impl Provenance {
     }
 
     /// From key-value pairs; refuses another schema version.
+    ///
+    /// # Errors
+    /// Another schema version or none; a rate, step, load or seed that is no number.
     pub fn from_pairs(path: &Path, pairs: &BTreeMap<String, String>) -> Result<Self> {
         let file = path.display().to_string();
         let get = |k: &str| pairs.get(&format!("ema.{k}")).cloned();
@@ -168,6 +177,9 @@ pub fn query_properties(schema: &Schema, pairs: Vec<(String, String)>) -> Writer
 }
 
 /// Writes a whole table under a temporary name and renames it: it is visible complete or not at all.
+///
+/// # Errors
+/// What the disk refuses.
 pub fn write_table(path: &Path, batch: &RecordBatch, pairs: Vec<(String, String)>) -> Result<()> {
     let properties = writer_properties(&batch.schema(), pairs);
     let bytes = in_memory(std::slice::from_ref(batch), properties).map_err(|e| Error::torn(path, e))?;
@@ -175,6 +187,12 @@ pub fn write_table(path: &Path, batch: &RecordBatch, pairs: Vec<(String, String)
 }
 
 /// A table of a fleet as the bytes of a Parquet file, a row group a batch; settings as [`query_properties`].
+///
+/// # Errors
+/// What the Parquet writer refuses: batches of different columns.
+///
+/// # Panics
+/// Without a batch.
 pub fn table_bytes(batches: &[RecordBatch], pairs: Vec<(String, String)>) -> Result<Vec<u8>> {
     let properties = query_properties(&batches[0].schema(), pairs);
     in_memory(batches, properties).map_err(|e| Error::torn(Path::new("table in memory"), e))
@@ -212,6 +230,9 @@ impl Recorder {
     /// * `channels` columns of the file
     /// * `single` samples as f32: right where they come out of a sensor model, which has rounded
     ///   them to f32 already
+    ///
+    /// # Errors
+    /// A file that cannot be created beside `path`.
     pub fn create(path: &Path, provenance: &Provenance, channels: ChannelSet, single: bool) -> Result<Self> {
         let schema = Arc::new(telemetry_schema(channels, single));
         let properties = writer_properties(&schema, provenance.pairs());
@@ -230,6 +251,9 @@ impl Recorder {
     }
 
     /// Ends the file and gives it its name.
+    ///
+    /// # Errors
+    /// What the disk refuses; what stood under the name before then stays.
     pub fn finish(mut self) -> Result<()> {
         let writer = self.writer.take().expect("finish is called once");
         let result = writer
@@ -293,8 +317,11 @@ impl TelemetrySink for Recorder {
 /// A telemetry file opened for reading.
 pub struct Recording {
     path: PathBuf,
+    /// what made it, from the metadata
     pub provenance: Provenance,
+    /// channels that it has columns of; unknown columns are ignored
     pub channels: ChannelSet,
+    /// samples of all runs
     pub rows: u64,
 }
 
@@ -312,6 +339,9 @@ fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
 }
 
 /// All rows of any Parquet file.
+///
+/// # Errors
+/// A file that is not there, is empty, or is not whole.
 pub fn read_batches(path: &Path) -> Result<Vec<RecordBatch>> {
     let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
     let reader = open(path)?.build().map_err(|e| torn(&e))?;
@@ -319,6 +349,9 @@ pub fn read_batches(path: &Path) -> Result<Vec<RecordBatch>> {
 }
 
 /// Key-value metadata of a Parquet file.
+///
+/// # Errors
+/// A file that is not there, is empty, or is not whole.
 pub fn metadata(path: &Path) -> Result<BTreeMap<String, String>> {
     Ok(pairs(&open(path)?))
 }
@@ -333,6 +366,9 @@ fn pairs(builder: &ParquetRecordBatchReaderBuilder<File>) -> BTreeMap<String, St
 
 impl Recording {
     /// Opens a telemetry file and checks its schema version and columns.
+    ///
+    /// # Errors
+    /// No whole Parquet file, another schema version, no column `run` or `t_ns`.
     pub fn open(path: &Path) -> Result<Self> {
         let builder = open(path)?;
         let provenance = Provenance::from_pairs(path, &pairs(&builder))?;
@@ -359,6 +395,9 @@ impl Recording {
     }
 
     /// Hands all rows to `sink`, run after run, in blocks of at most `block` rows.
+    ///
+    /// # Errors
+    /// A torn file, a column of another type, a gap within a run; what `sink` refuses.
     pub fn replay(&self, block: usize, sink: &mut dyn TelemetrySink) -> Result<()> {
         let torn = |e: &dyn std::fmt::Display| Error::torn(&self.path, e);
         let reader = open(&self.path)?.with_batch_size(block).build().map_err(|e| torn(&e))?;

@@ -40,6 +40,9 @@ impl TelemetryLayout {
     /// * `single` samples as f32: right where they come out of a sensor model, which has rounded
     ///   them to f32 already
     /// * `rate_hz` samples a second
+    ///
+    /// # Errors
+    /// What the Parquet writer refuses; with the columns of the channel table it does not.
     pub fn new(channels: ChannelSet, single: bool, rate_hz: f64) -> Result<Self> {
         // every run has its faults: nothing is null
         let fields = telemetry_schema(channels, single).fields;
@@ -92,6 +95,9 @@ impl TelemetryLayout {
     /// An encoder for one run.
     ///
     /// * `constants` FSJ, zeta, rest angle [rad]
+    ///
+    /// # Errors
+    /// As [`TelemetryLayout::new`].
     pub fn encoder(&self, run: u64, constants: [f64; 3]) -> Result<RunEncoder> {
         let mut arrays: Vec<ArrayRef> = vec![Arc::new(UInt64Array::from(vec![run; ROWS]))];
         arrays.extend(constants.map(|x| -> ArrayRef { Arc::new(Float64Array::from(vec![x; ROWS])) }));
@@ -113,6 +119,9 @@ impl TelemetryLayout {
     }
 
     /// The file of runs in the given order, with `pairs` as its metadata.
+    ///
+    /// # Errors
+    /// Runs of another layout.
     pub fn file(&self, runs: Vec<RunChunk>, pairs: Vec<(String, String)>) -> Result<Vec<u8>> {
         let properties = Arc::new(Self::properties(&self.schema, pairs));
         let mut bytes = Vec::new();
@@ -151,7 +160,9 @@ pub struct RunEncoder {
 
 /// An encoded run: a row group to be.
 pub struct RunChunk {
+    /// number of the run in its plan
     pub run: u64,
+    /// samples
     pub rows: u64,
     columns: Vec<ArrowColumnChunk>,
 }
@@ -218,6 +229,9 @@ impl RunEncoder {
     }
 
     /// Ends the run.
+    ///
+    /// # Errors
+    /// As [`TelemetryLayout::new`].
     pub fn finish(mut self) -> Result<RunChunk> {
         self.flush()?;
         let close = |c: ArrowColumnWriter| c.close().map_err(unforeseen);

@@ -31,10 +31,10 @@ impl Bound {
 }
 
 macro_rules! commands {
-    ($($(#[$doc:meta])* $variant:ident $name:literal { $($key:ident $bound:ident),+ })+) => {
+    ($($(#[$doc:meta])* $variant:ident $name:literal { $($key:ident $bound:ident $meaning:literal),+ })+) => {
         /// Command of one segment, as a function of the time `t` since the segment's start.
         #[derive(Clone, Copy, Debug, PartialEq)]
-        pub enum Command { $($(#[$doc])* $variant { $($key: f64),+ }),+ }
+        pub enum Command { $($(#[$doc])* $variant { $(#[doc = $meaning] $key: f64),+ }),+ }
 
         impl Command {
             /// Names in files.
@@ -64,38 +64,45 @@ macro_rules! commands {
 
 commands! {
     /// `slope t` [rad]
-    Ramp "ramp" { slope_rad_per_s Any }
+    Ramp "ramp" { slope_rad_per_s Any "slope of the user position [rad/s]" }
     /// constant [rad]
-    Hold "hold" { value_rad Any }
+    Hold "hold" { value_rad Any "user position [rad]" }
     /// `amplitude sin(2 pi f t)` [rad]
-    Sine "sine" { amplitude_rad Any, frequency_hz AboveZero }
+    Sine "sine" { amplitude_rad Any "amplitude of the user position [rad]", frequency_hz AboveZero "f [Hz]" }
     /// constant from the segment's start [rad]
-    Step "step" { height_rad Any }
+    Step "step" { height_rad Any "user position [rad]" }
     /// `A sin(2 pi (f0 t + (f1 - f0) t^2/(2 T)))`, T the segment's duration [rad]
-    Chirp "chirp" { amplitude_rad Any, from_hz AtLeastZero, to_hz AboveZero }
+    Chirp "chirp" { amplitude_rad Any "A [rad]", from_hz AtLeastZero "f0 [Hz]", to_hz AboveZero "f1 [Hz]" }
     /// `sum over n = 1..5 of A/n sin(2 pi f n t + n^2)` [rad]
-    Multisine "multisine" { amplitude_rad Any, frequency_hz AboveZero }
+    Multisine "multisine" { amplitude_rad Any "A, of the fundamental [rad]", frequency_hz AboveZero "f, of the fundamental [Hz]" }
 }
 
 /// A command and how long it lasts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
+    /// what is commanded
     pub command: Command,
     /// start from the sequence's start [s]
     pub start_s: f64,
+    /// length [s], above 0 and at most 3600
     pub duration_s: f64,
 }
 
 /// A named sequence of segments.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TestSequence {
+    /// for messages and files; does not enter the fingerprint
     pub name: String,
+    /// one after the other, without gaps; at least one
     pub segments: Vec<Segment>,
 }
 
 impl TestSequence {
     /// From a TOML file's table: `name`, then `[[segment]]` with `command`, `duration_s` and the
     /// command's own keys.
+    ///
+    /// # Errors
+    /// A command, key or value that is not allowed; no segment.
     pub fn from_section(mut s: Section) -> Result<Self> {
         let names = || {
             let (last, others) = Command::NAMES.split_last().expect("there are commands");
@@ -151,6 +158,7 @@ impl TestSequence {
         self.segments.iter().find(|s| is(&s.command))
     }
 
+    /// Of commands, starts and lengths, not of the name.
     pub fn fingerprint(&self) -> String {
         let mut text = String::from("sequence");
         for s in &self.segments {

@@ -14,9 +14,11 @@ pub struct TelemetryHeader {
     pub parameters: String,
     /// fingerprint of the sensor model, `"none"` without sensors, empty where unknown
     pub sensors: String,
+    /// name of the sequence
     pub sequence: String,
     /// samples a second [Hz]
     pub rate_hz: f64,
+    /// channels that every block has columns of
     pub channels: ChannelSet,
     /// faults of a simulated run
     pub fault: Option<FaultState>,
@@ -30,11 +32,15 @@ pub struct TelemetryHeader {
 pub struct TelemetryView<'a> {
     /// number of the first sample
     pub first: u64,
+    /// samples of the block
     pub rows: usize,
     columns: [Option<&'a [f64]>; Channel::COUNT],
 }
 
 impl<'a> TelemetryView<'a> {
+    /// A block without columns.
+    ///
+    /// * `first` number of the first sample, from 1 on
     pub fn new(first: u64, rows: usize) -> Self {
         Self {
             first,
@@ -53,6 +59,7 @@ impl<'a> TelemetryView<'a> {
         self
     }
 
+    /// A column of `rows` values in the channel's unit; none where the block has no such channel.
     pub fn column(&self, channel: Channel) -> Option<&'a [f64]> {
         self.columns[channel as usize]
     }
@@ -72,11 +79,15 @@ impl<'a> TelemetryView<'a> {
 pub struct TelemetryViewMut<'a> {
     /// number of the first sample
     pub first: u64,
+    /// samples of the block
     pub rows: usize,
     columns: [Option<&'a mut [f64]>; Channel::COUNT],
 }
 
 impl<'a> TelemetryViewMut<'a> {
+    /// A block without columns.
+    ///
+    /// * `first` number of the first sample, from 1 on
     pub fn new(first: u64, rows: usize) -> Self {
         Self {
             first,
@@ -95,10 +106,12 @@ impl<'a> TelemetryViewMut<'a> {
         self
     }
 
+    /// A column of `rows` values in the channel's unit; none where the block has none, or it is taken out.
     pub fn column(&self, channel: Channel) -> Option<&[f64]> {
         self.columns[channel as usize].as_deref()
     }
 
+    /// As [`TelemetryViewMut::column`], to be written.
     pub fn column_mut(&mut self, channel: Channel) -> Option<&mut [f64]> {
         self.columns[channel as usize].as_deref_mut()
     }
@@ -129,12 +142,15 @@ impl<'a> TelemetryViewMut<'a> {
 /// Owned columns that a producer fills and lends as a view.
 #[derive(Clone, Debug, Default)]
 pub struct TelemetryBuffer {
+    /// number of the first sample
     pub first: u64,
+    /// samples
     pub rows: usize,
     columns: Vec<(Channel, Vec<f64>)>,
 }
 
 impl TelemetryBuffer {
+    /// No samples yet, room for `capacity` of each channel.
     pub fn new(channels: ChannelSet, capacity: usize) -> Self {
         Self {
             first: 1,
@@ -142,6 +158,7 @@ impl TelemetryBuffer {
             columns: channels.iter().map(|c| (c, Vec::with_capacity(capacity))).collect(),
         }
     }
+    /// The samples, borrowed.
     pub fn view(&self) -> TelemetryView<'_> {
         let mut v = TelemetryView::new(self.first, self.rows);
         for (c, values) in &self.columns {
@@ -160,12 +177,15 @@ impl TelemetryBuffer {
         }
         v
     }
+    /// Channels that it has columns of.
     pub fn channels(&self) -> ChannelSet {
         ChannelSet::of(self.columns.iter().map(|(c, _)| *c))
     }
+    /// A column to be filled by hand; [`TelemetryBuffer::set_rows`] follows.
     pub fn column_mut(&mut self, channel: Channel) -> Option<&mut Vec<f64>> {
         self.columns.iter_mut().find(|(c, _)| *c == channel).map(|(_, v)| v)
     }
+    /// A column of `rows` values in the channel's unit; none where the buffer has no such channel.
     pub fn column(&self, channel: Channel) -> Option<&[f64]> {
         self.columns
             .iter()
@@ -194,27 +214,38 @@ impl TelemetryBuffer {
 
 /// Producers push, sinks accept: recorder, publisher, extractor and a test's buffer are sinks.
 pub trait TelemetrySink {
+    /// Takes the next block of a run.
+    ///
+    /// * `header` the same for all blocks of a run
+    ///
+    /// # Errors
+    /// What the sink refuses; who pushes passes it on and stops.
     fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> crate::error::Result<()>;
 }
 
 /// Keeps everything, for plots and tests.
 #[derive(Clone, Debug, Default)]
 pub struct Collector {
+    /// of the run; none before the first block
     pub header: Option<TelemetryHeader>,
     columns: Vec<(Channel, Vec<f64>)>,
+    /// number of the first sample
     pub first: u64,
 }
 
 impl Collector {
+    /// Samples kept.
     pub fn rows(&self) -> usize {
         self.columns.first().map_or(0, |(_, v)| v.len())
     }
+    /// All samples of a channel, in the channel's unit; none where the run has no such channel.
     pub fn column(&self, channel: Channel) -> Option<&[f64]> {
         self.columns
             .iter()
             .find(|(c, _)| *c == channel)
             .map(|(_, v)| v.as_slice())
     }
+    /// All samples as one block.
     pub fn view(&self) -> TelemetryView<'_> {
         let mut v = TelemetryView::new(self.first, self.rows());
         for (c, values) in &self.columns {

@@ -13,6 +13,11 @@ pub struct Section {
 }
 
 /// Parses a file's text.
+///
+/// * `file` for messages
+///
+/// # Errors
+/// A text that is no TOML, with its line.
 pub fn parse(file: &str, text: &str) -> Result<Section> {
     let table: Table = text.parse().map_err(|e: toml::de::Error| {
         let line = e
@@ -29,6 +34,9 @@ pub fn parse(file: &str, text: &str) -> Result<Section> {
 }
 
 /// Reads and parses a file.
+///
+/// # Errors
+/// A file that cannot be read, or is no TOML.
 pub fn read(path: &Path) -> Result<Section> {
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
     parse(&path.display().to_string(), &text)
@@ -62,6 +70,7 @@ fn show(v: &Value) -> String {
 }
 
 impl Section {
+    /// Name of the file, as messages have it.
     pub fn file(&self) -> &str {
         &self.file
     }
@@ -89,6 +98,7 @@ impl Section {
         self.take(key)
     }
 
+    /// Whether a key is there that was not read yet.
     pub fn has(&self, key: &str) -> bool {
         self.table.contains_key(key)
     }
@@ -100,6 +110,9 @@ impl Section {
     }
 
     /// A number, or a table `{ value, source, unit }`; also its source.
+    ///
+    /// # Errors
+    /// No such key, no finite number, one that `ok` refuses, or another key in the table.
     pub fn sourced(&mut self, key: &str, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<(f64, Option<String>)> {
         let Some(v) = self.take(key) else {
             return Err(self.bad(key, "nothing", allowed));
@@ -124,10 +137,20 @@ impl Section {
         }
     }
 
+    /// A number, or the value of a table `{ value, source, unit }`.
+    ///
+    /// * `ok` whether it is allowed; `allowed` the same in words, for the refusal
+    ///
+    /// # Errors
+    /// As [`Section::sourced`].
     pub fn number(&mut self, key: &str, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<f64> {
         self.sourced(key, ok, allowed).map(|(x, _)| x)
     }
 
+    /// As [`Section::number`]; `default` where the key is absent.
+    ///
+    /// # Errors
+    /// As [`Section::sourced`].
     pub fn number_or(&mut self, key: &str, default: f64, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<f64> {
         if self.has(key) {
             self.number(key, ok, allowed)
@@ -137,6 +160,12 @@ impl Section {
         }
     }
 
+    /// A text.
+    ///
+    /// * `allowed` what it may be, for the refusal
+    ///
+    /// # Errors
+    /// No such key, or no text.
     pub fn text(&mut self, key: &str, allowed: &str) -> Result<String> {
         match self.take(key) {
             Some(Value::String(s)) => Ok(s),
@@ -147,6 +176,9 @@ impl Section {
 
     /// A number, or a table `{ value, lo, hi, unit, source }`, whose unit must be `unit` where it is
     /// given; also the interval from `lo` to `hi`.
+    ///
+    /// # Errors
+    /// As [`Section::number`]; another unit; bounds that the value lies outside of.
     pub fn estimate(
         &mut self,
         key: &str,
@@ -210,6 +242,9 @@ impl Section {
     }
 
     /// A list of texts.
+    ///
+    /// # Errors
+    /// No such key, or no list of texts.
     pub fn texts(&mut self, key: &str, allowed: &str) -> Result<Vec<String>> {
         let Some(v) = self.take(key) else {
             return Err(self.bad(key, "nothing", allowed));
@@ -226,14 +261,20 @@ impl Section {
         self.table.keys().cloned().collect()
     }
 
+    /// Whether a key is there and a list.
     pub fn is_list(&self, key: &str) -> bool {
         self.table.get(key).is_some_and(Value::is_array)
     }
 
+    /// Whether a key is there and a text.
     pub fn is_text(&self, key: &str) -> bool {
         self.table.get(key).is_some_and(Value::is_str)
     }
 
+    /// As [`Section::text`]; `default` where the key is absent.
+    ///
+    /// # Errors
+    /// A value that is no text.
     pub fn text_or(&mut self, key: &str, default: &str) -> Result<String> {
         if self.has(key) {
             self.text(key, "a text")
@@ -244,6 +285,9 @@ impl Section {
     }
 
     /// A list of numbers, or a range `{ from, to, points }`.
+    ///
+    /// # Errors
+    /// No such key, an empty list, values that `ok` refuses or that do not rise strictly.
     pub fn axis(&mut self, key: &str, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<Vec<f64>> {
         let Some(v) = self.take(key) else {
             return Err(self.bad(key, "nothing", allowed));
@@ -287,6 +331,9 @@ impl Section {
     }
 
     /// A table of its own.
+    ///
+    /// # Errors
+    /// No such key, or no table.
     pub fn section(&mut self, key: &str) -> Result<Section> {
         match self.take(key) {
             Some(Value::Table(table)) => {
@@ -308,6 +355,9 @@ impl Section {
     }
 
     /// An array of tables; empty where the key is absent.
+    ///
+    /// # Errors
+    /// A value that is no array of tables.
     pub fn sections(&mut self, key: &str) -> Result<Vec<Section>> {
         let items = match self.take(key) {
             Some(Value::Array(a)) => a,
@@ -330,6 +380,9 @@ impl Section {
     }
 
     /// Refuses what was not asked for.
+    ///
+    /// # Errors
+    /// A key that was not read, with those that were.
     pub fn finish(mut self) -> Result<()> {
         let mut seen = std::collections::BTreeSet::new();
         self.known.retain(|k| seen.insert(k.clone()));

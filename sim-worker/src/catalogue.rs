@@ -41,16 +41,25 @@ pub fn sequence_names() -> impl Iterator<Item = &'static str> {
 }
 
 /// A built-in sequence, or one from a `.toml` file.
+///
+/// # Errors
+/// A name that is neither built in nor a `.toml` file; a file that is not allowed.
 pub fn sequence(name: &str) -> Result<TestSequence> {
     TestSequence::from_section(section("sequences", SEQUENCES, name)?)
 }
 
 /// A built-in grid, or one from a `.toml` file with `name`, `fsj`, `zeta`.
+///
+/// # Errors
+/// As [`sequence`].
 pub fn grid(name: &str) -> Result<FaultGrid> {
     grid_from(section("grids", GRIDS, name)?)
 }
 
 /// A grid from its file's section.
+///
+/// # Errors
+/// Axes that do not rise strictly, FSJ outside 0 to 100, zeta outside 0 to 1.
 pub fn grid_from(mut s: Section) -> Result<FaultGrid> {
     let name = s.text("name", "a text")?;
     let fsj = s.axis(
@@ -68,6 +77,9 @@ pub fn grid_from(mut s: Section) -> Result<FaultGrid> {
 }
 
 /// A built-in sensor model, one from a `.toml` file, or `none`.
+///
+/// # Errors
+/// As [`sequence`].
 pub fn sensors(name: &str) -> Result<Option<SensorModel>> {
     if name == "none" {
         return Ok(None);
@@ -76,6 +88,9 @@ pub fn sensors(name: &str) -> Result<Option<SensorModel>> {
 }
 
 /// A built-in spread, one from a `.toml` file, or `none`.
+///
+/// # Errors
+/// As [`sequence`].
 pub fn spread(name: &str) -> Result<Spread> {
     if name == "none" {
         return Ok(Spread::none());

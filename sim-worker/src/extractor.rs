@@ -28,7 +28,9 @@ const RESOLVER_BITS: u32 = 16;
 /// Sample numbers `from..=to`, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
+    /// first sample of the window
     pub from: u64,
+    /// last sample of the window, included
     pub to: u64,
 }
 
@@ -42,10 +44,12 @@ impl Window {
         }
     }
 
+    /// Samples in the window.
     pub fn len(self) -> u64 {
         (self.to + 1).saturating_sub(self.from)
     }
 
+    /// Whether it has no sample.
     pub fn is_empty(self) -> bool {
         self.len() == 0
     }
@@ -63,13 +67,19 @@ impl Window {
 /// per actuator, sequence and rate, shared by all extractors.
 #[derive(Clone, Debug)]
 pub struct FeaturePlan {
+    /// telemetry rate [Hz]
     pub rate_hz: f64,
+    /// N, motor to user
     pub gear_ratio: f64,
+    /// name of the sequence
     pub sequence: String,
     /// samples of the whole sequence
     pub rows: u64,
+    /// P1's window; none without a step long enough
     pub regime: Option<Window>,
+    /// the whole sine, for P2; none without one
     pub sine: Option<Window>,
+    /// the whole ramp, for P3; none without one
     pub ramp: Option<Window>,
     /// from the step to the end of the regime window
     pub step: Option<Window>,
@@ -181,7 +191,9 @@ impl FeaturePlan {
 /// A feature's number of samples, seen and wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
+    /// samples of the window that have come
     pub seen: u64,
+    /// samples of the whole window
     pub wanted: u64,
 }
 
@@ -212,6 +224,7 @@ pub struct FeatureExtractor {
 }
 
 impl FeatureExtractor {
+    /// Nothing seen yet.
     pub fn new(plan: Arc<FeaturePlan>) -> Self {
         Self {
             plan,
@@ -233,6 +246,7 @@ impl FeatureExtractor {
         }
     }
 
+    /// What it extracts.
     pub fn plan(&self) -> &FeaturePlan {
         &self.plan
     }

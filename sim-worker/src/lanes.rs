@@ -63,6 +63,7 @@ pub struct Units {
 }
 
 impl Units {
+    /// Of an actuator: its step, L and J.
     pub fn new(p: &ActuatorParameters) -> Self {
         let dt = p.step_s;
         let ampere = dt * (p.phase_inductance_h / p.inertia_kg_m2).sqrt();
@@ -81,26 +82,56 @@ lane_struct!(
     Constants {
         /// `GAP/N`
         gap,
-        w_min, w_max,
-        /// `Kp/kt`, `Ki dt/kt`
-        kp, ki_dt,
-        i_min, i_max, x_min, x_max,
+        /// lower limit of the speed reference, `-Wmax`
+        w_min,
+        /// upper limit of the speed reference, `Wmax`
+        w_max,
+        /// `Kp/kt`
+        kp,
+        /// `Ki dt/kt`
+        ki_dt,
+        /// lower limit of the current reference, `-Imax`
+        i_min,
+        /// upper limit of the current reference, `Imax`
+        i_max,
+        /// lower limit of the integrator, `-Tint/kt`
+        x_min,
+        /// upper limit of the integrator, `Tint/kt`
+        x_max,
         /// units of 30 electrical degrees in a rad of the rotor
         flanks,
-        /// `ke` and `ke zeta` (0 for one pole pair, Eq. 5)
-        ke, ke_zeta,
+        /// `ke`
+        ke,
+        /// `ke zeta` (0 for one pole pair, Eq. 5)
+        ke_zeta,
+        /// half-band HB of the relays
         hb,
         /// `Vs/2`
         volts,
         /// `1 - R dt/L`
         decay,
-        t_min, t_max,
-        viscous, fs, fd,
-        /// gear ratio N, backlash half-width times N
-        n, gap_half,
+        /// least motor torque, `-Tmax`
+        t_min,
+        /// greatest motor torque, `Tmax`
+        t_max,
+        /// C
+        viscous,
+        /// static dry friction, FSJ times the nominal
+        fs,
+        /// dynamic dry friction
+        fd,
+        /// gear ratio N
+        n,
+        /// backlash half-width times N
+        gap_half,
         /// end stop, displacement from rest times N
         stop,
-        load, opposing, aiding,
+        /// load torque TR, positive against positive motion
+        load,
+        /// `1/eta_o - 1`, see [`friction::with_load`]
+        opposing,
+        /// `1 - eta_a`
+        aiding,
         /// rotor angle at rest [rad]
         th0,
         /// `ke zeta` of eccentricity a quarter of a turn ahead of the fault's
@@ -111,10 +142,16 @@ lane_struct!(
 lane_struct!(
     /// State of each lane, in [`Units`].
     State {
-        /// currents of phases 0 and 1
-        ia, ib,
-        /// relay states, plus or minus HB, less the phase currents
-        ma, mb, mc,
+        /// current of phase 0
+        ia,
+        /// current of phase 1; that of phase 2 is minus the sum of both
+        ib,
+        /// state of relay 0, plus or minus HB, less the current of its phase
+        ma,
+        /// of relay 1 likewise
+        mb,
+        /// of relay 2 likewise
+        mc,
         /// motor speed
         turn,
         /// motor angle from rest [rad]
@@ -128,14 +165,35 @@ lane_struct!(
         x,
         /// user angle times N
         th_u,
-        /// eccentricity vector, see [`back_emf::gains`]
-        c, b,
+        /// eccentricity vector, the part with the angle's cosine, see [`back_emf::gains`]
+        c,
+        /// eccentricity vector, the part with the angle's sine
+        b,
     }
 );
 
 lane_struct!(
     /// Sums over the steps of a telemetry interval, in [`Units`].
-    Sums { ia, ib, abs, va, vb, vc, supply, torque, iq }
+    Sums {
+        /// current of phase 0, as measured
+        ia,
+        /// current of phase 1, as measured
+        ib,
+        /// sizes of all three phase currents: twice the equivalent current (Eq. 4)
+        abs,
+        /// voltage of phase 0 against the star point
+        va,
+        /// voltage of phase 1 against the star point
+        vb,
+        /// voltage of phase 2 against the star point
+        vc,
+        /// supply current of the bridge
+        supply,
+        /// motor torque (Eq. 7)
+        torque,
+        /// half the sum of phase currents times normalised back-EMF shapes
+        iq,
+    }
 );
 
 impl<const N: usize> Constants<N> {
@@ -194,7 +252,22 @@ impl<const N: usize> Constants<N> {
 lane_struct!(
     /// What the stages of one step hand on: current reference, folded angles, back-EMF
     /// coefficients, angle moved.
-    Handed { i_ref, f0, f1, f2, k0, k1, k2 }
+    Handed {
+        /// current reference of the speed loop
+        i_ref,
+        /// folded electrical angle of phase 0 [30 degrees], see [`back_emf::fold`]
+        f0,
+        /// of phase 1
+        f1,
+        /// of phase 2
+        f2,
+        /// back-EMF coefficient of phase 0 (Eq. 5)
+        k0,
+        /// of phase 1
+        k1,
+        /// of phase 2
+        k2,
+    }
 );
 
 /// Where a lane's constant stands: where all lanes hold the same actuator, in the first.

@@ -198,12 +198,17 @@ impl MonitorModel {
 /// interval's end, |current| and torque as means over the interval.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MonitorTrack {
+    /// commanded user position [rad]
     pub com_rad: Vec<f64>,
+    /// user position behind the backlash [rad]
     pub theta_u_rad: Vec<f64>,
-    /// from rest
+    /// motor angle from rest [rad]
     pub theta_m_rad: Vec<f64>,
+    /// motor speed [rad/s]
     pub omega_rad_per_s: Vec<f64>,
+    /// mean of |Im| [A]
     pub abs_current_a: Vec<f64>,
+    /// mean of the motor torque [N m]
     pub torque_n_m: Vec<f64>,
 }
 

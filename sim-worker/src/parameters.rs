@@ -88,8 +88,13 @@ macro_rules! parameters {
         /// Parameters of one actuator; SI units, motor side unless said.
         #[derive(Clone, Debug, PartialEq)]
         pub struct ActuatorParameters {
+            /// for messages and files; does not enter the fingerprint
             pub name: String,
-            $($(#[$doc])* pub $field: $type,)+
+            $(
+                $(#[$doc])*
+                #[doc = concat!(" [", $unit, "]; `", $key, "` in the table `", $table, "` of a file")]
+                pub $field: $type,
+            )+
             /// physical effects beyond the paper's, at most [`effect::MOST`]
             pub effects: Vec<Effect>,
             /// keys whose value is assumed rather than sourced
@@ -130,54 +135,54 @@ macro_rules! parameters {
 // Every parameter once: field, type, table and key and unit in the file, bound. The tables follow each
 // other as they are read, and the text of the fingerprint has the values in this order.
 parameters! {
-    /// Vs
+    /// supply voltage Vs
     supply_voltage_v: f64, "supply" "voltage_v" "V" AboveZero;
-    /// R of one phase of the star
+    /// resistance R of one phase of the star
     phase_resistance_ohm: f64, "motor" "phase_resistance_ohm" "ohm" AboveZero;
-    /// L of one phase of the star
+    /// inductance L of one phase of the star
     phase_inductance_h: f64, "motor" "phase_inductance_h" "H" AboveZero;
-    /// ke of one phase; two phases in series give kt = 2 ke
+    /// back-EMF coefficient ke of one phase; two phases in series give kt = 2 ke
     back_emf_v_s_per_rad: f64, "motor" "back_emf_v_s_per_rad" "V s/rad" AboveZero;
-    /// P
+    /// pole pairs P
     pole_pairs: u32, "motor" "pole_pairs" "-" PolePairs;
-    /// J
+    /// inertia J
     inertia_kg_m2: f64, "motor" "inertia_kg_m2" "kg m2" AboveZero;
-    /// C
+    /// viscous friction C
     viscous_n_m_s_per_rad: f64, "motor" "viscous_n_m_s_per_rad" "N m s/rad" AtLeastZero;
-    /// Tmax
+    /// greatest motor torque Tmax
     torque_limit_n_m: f64, "motor" "torque_limit_n_m" "N m" AboveZero;
-    /// FSJ0
+    /// nominal static dry friction FSJ0; the fault FSJ multiplies it
     static_friction_n_m: f64, "friction" "static_n_m" "N m" AtLeastZero;
-    /// FDJ/FSJ; `dynamic_ratio` in files and among what is known of a unit, `dynamic_ratio_relative` in
+    /// dynamic over static dry friction, FDJ/FSJ; `dynamic_ratio` in files and among what is known of a unit, `dynamic_ratio_relative` in
     /// spreads, by its own name in plans
     dynamic_friction_ratio: f64, "friction" "dynamic_ratio" "-" Share;
-    /// N, motor to user
+    /// gear ratio N, motor to user
     gear_ratio: f64, "transmission" "gear_ratio" "-" AboveZero;
-    /// b, at the user shaft
+    /// backlash half-width b, at the user shaft
     backlash_half_width_rad: f64, "transmission" "backlash_half_width_rad" "rad" AtLeastZero;
     /// end stops at plus and minus this, at the user shaft
     end_stop_rad: f64, "transmission" "end_stop_rad" "rad" AboveZero;
-    /// eta_o of the transmission where the load opposes the motion; 1 = no loss
+    /// efficiency eta_o of the transmission where the load opposes the motion; 1 = no loss
     opposing_efficiency: f64, "transmission" "opposing_efficiency" "-" Efficiency;
-    /// eta_a where the load aids it; 1 = no loss
+    /// efficiency eta_a where the load aids it; 1 = no loss
     aiding_efficiency: f64, "transmission" "aiding_efficiency" "-" Efficiency;
-    /// GAP [(rad/s motor)/(rad user)]
+    /// gain GAP of the position loop
     position_gain_per_s: f64, "controller" "position_gain_per_s" "(rad/s motor)/(rad user)" AboveZero;
-    /// Wmax
+    /// greatest speed reference Wmax
     speed_reference_limit_rad_per_s: f64, "controller" "speed_reference_limit_rad_per_s" "rad/s" AboveZero;
-    /// Kp
+    /// proportional gain Kp of the speed loop
     speed_proportional_n_m_s_per_rad: f64, "controller" "speed_proportional_n_m_s_per_rad" "N m s/rad" AboveZero;
-    /// Ki
+    /// integral gain Ki of the speed loop
     speed_integral_n_m_per_rad: f64, "controller" "speed_integral_n_m_per_rad" "N m/rad" AtLeastZero;
-    /// Tint
+    /// limit Tint of the speed loop's integrator
     integrator_limit_n_m: f64, "controller" "integrator_limit_n_m" "N m" AtLeastZero;
-    /// Imax
+    /// greatest current reference Imax
     current_limit_a: f64, "controller" "current_limit_a" "A" AboveZero;
-    /// HB
+    /// half-band HB of the hysteresis current control
     hysteresis_half_band_a: f64, "controller" "hysteresis_half_band_a" "A" AboveZero;
-    /// dt of the numerical test bench
+    /// step dt of the numerical test bench
     step_s: f64, "numerics" "step_s" "s" Step;
-    /// of friction and surroundings [degC]
+    /// temperature of friction and surroundings
     temperature_degc: f64, "environment" "temperature_degc" "degC" Temperature;
 }
 
@@ -256,11 +261,20 @@ impl ActuatorParameters {
         REFERENCE
     }
 
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// A file that cannot be read; else as [`ActuatorParameters::parse`].
     pub fn read(path: &Path) -> Result<Self> {
         Self::from_section(toml_section::read(path)?)
     }
 
     /// Parses the text of a file.
+    ///
+    /// * `file` for messages
+    ///
+    /// # Errors
+    /// A missing or unknown key, a value that physics forbids, an effect that is not known.
     pub fn parse(file: &str, text: &str) -> Result<Self> {
         Self::parse_with(file, text, &[])
     }

@@ -14,6 +14,7 @@ use std::f64::consts::TAU;
 /// Resolution and noise of the sensors. All values of the built-in model are assumed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorModel {
+    /// for messages and files; does not enter the fingerprint
     pub name: String,
     /// motor resolver, bits a turn
     pub resolver_bits: u32,
@@ -21,6 +22,7 @@ pub struct SensorModel {
     pub speed_noise_rad_per_s: f64,
     /// full scale of a phase current, plus and minus [A]
     pub current_range_a: f64,
+    /// resolution of a phase current over the range [bits]
     pub current_bits: u32,
     /// white noise of a phase current, rms [A]
     pub current_noise_a: f64,
@@ -29,6 +31,10 @@ pub struct SensorModel {
 }
 
 impl SensorModel {
+    /// From a TOML file's table.
+    ///
+    /// # Errors
+    /// A missing or unknown key, a value that is not allowed.
     pub fn from_section(mut s: Section) -> Result<Self> {
         let bits = |x: f64| x.fract() == 0.0 && (1.0..=24.0).contains(&x);
         let low = |x: f64| x >= 0.0;
@@ -113,9 +119,13 @@ impl SensorNoise {
 /// A sensor model on one run.
 #[derive(Clone, Debug)]
 pub struct Sensors<'a> {
+    /// resolution and noise
     pub model: &'a SensorModel,
+    /// of this run, as many samples as it has
     pub noise: &'a SensorNoise,
+    /// N, motor to user
     pub gear_ratio: f64,
+    /// rotor angle at rest [rad]
     pub rest_angle_rad: f64,
 }
 

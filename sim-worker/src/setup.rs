@@ -14,7 +14,9 @@ use std::sync::Arc;
 /// A test, ready to be simulated or diagnosed; [`TestSetup::kind`] is the same by fingerprints.
 #[derive(Clone, Debug)]
 pub struct TestSetup {
+    /// parameters, with effects
     pub actuator: Arc<ActuatorParameters>,
+    /// what it is told to do
     pub sequence: TestSequence,
     /// none: true values
     pub sensors: Option<SensorModel>,

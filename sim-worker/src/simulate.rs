@@ -18,10 +18,13 @@ const BLOCK_ROWS: usize = 128;
 /// What all runs of a call have in common.
 #[derive(Clone, Debug)]
 pub struct Experiment {
+    /// what all runs are told to do
     pub sequence: TestSequence,
     /// telemetry rate [Hz]
     pub rate_hz: f64,
+    /// what is recorded
     pub channels: ChannelSet,
+    /// none: true values
     pub sensors: Option<SensorModel>,
     /// step and the commands of all steps, worked out once for all runs of that step
     commands: OnceLock<(f64, Vec<f64>)>,
@@ -32,6 +35,11 @@ const KEPT_COMMANDS: u64 = 4_000_000;
 
 impl Experiment {
     /// Refuses a rate that no step or sensor can serve.
+    ///
+    /// * `step_s` step of the actuators [s]
+    ///
+    /// # Errors
+    /// A rate below 1 Hz, or above one sample a step.
     pub fn new(
         sequence: TestSequence,
         rate_hz: f64,
@@ -90,7 +98,9 @@ impl Experiment {
 /// One run.
 #[derive(Clone, Debug)]
 pub struct Run {
+    /// number of the run in its plan, or 0
     pub number: u64,
+    /// actuator, faults, rest angle and load
     pub lane: Lane,
     /// seed of the sensor noise
     pub seed: u64,
@@ -98,6 +108,14 @@ pub struct Run {
 
 /// Simulates up to [`LANES`] runs side by side; `sinks[i]` gets the telemetry of `runs[i]`.
 /// Returns the steps made, or stops early where `go_on` says so.
+///
+/// * `go_on` asked once a block; `Ok(None)` where it said no
+///
+/// # Errors
+/// What a sink refuses.
+///
+/// # Panics
+/// With more than [`LANES`] runs, or with more or fewer sinks than runs.
 pub fn simulate<S: TelemetrySink>(
     experiment: &Experiment,
     runs: &[Run],
@@ -169,6 +187,7 @@ impl<'a> Simulation<'a> {
         }
     }
 
+    /// Runs side by side.
     pub fn runs(&self) -> usize {
         self.runs
     }

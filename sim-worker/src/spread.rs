@@ -31,7 +31,9 @@ pub enum Cause {
 }
 
 impl Cause {
+    /// Number of causes.
     pub const COUNT: usize = 7;
+    /// All, in the order of [`Spread::half_width`].
     pub const ALL: [Cause; Self::COUNT] = [
         Cause::Resistance,
         Cause::BackEmf,
@@ -68,6 +70,7 @@ impl Cause {
         }
     }
 
+    /// In reports.
     pub fn title(self) -> &'static str {
         match self {
             Cause::Resistance => "phase resistance",
@@ -112,6 +115,9 @@ impl Cause {
 pub type Known = Vec<(Cause, f64)>;
 
 /// Known values in words (`supply_voltage_v=47.5`) for one actuator.
+///
+/// # Errors
+/// A text that is no `KEY=NUMBER`, or an unknown key.
 pub fn parse_known(text: &[String], actuator: &ActuatorParameters, rest_angle_rad: f64) -> Result<Known> {
     let keys = || Cause::ALL.map(Cause::known_key).join(", ");
     let one = |t: &String| {
@@ -137,6 +143,7 @@ pub fn parse_known(text: &[String], actuator: &ActuatorParameters, rest_angle_ra
 /// Half-widths of the uniform distributions of all causes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spread {
+    /// letters, digits, - and _: files of its calibrations are called by it
     pub name: String,
     /// by [`Cause`]: relative, K or rad
     pub half_width: [f64; Cause::COUNT],
@@ -151,6 +158,10 @@ impl Spread {
         }
     }
 
+    /// From a TOML file's table.
+    ///
+    /// # Errors
+    /// A name with other characters, a half-width outside its range, an unknown key.
     pub fn from_section(mut s: Section) -> Result<Self> {
         // files of its calibrations are called by it
         let allowed = "letters, digits, - and _";
@@ -171,6 +182,7 @@ impl Spread {
         Ok(Self { name, half_width })
     }
 
+    /// Whether nothing differs.
     pub fn is_none(&self) -> bool {
         self.half_width.iter().all(|&h| h == 0.0)
     }

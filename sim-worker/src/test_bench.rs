@@ -11,7 +11,9 @@ use std::sync::Arc;
 /// What one lane simulates.
 #[derive(Clone, Debug)]
 pub struct Lane {
+    /// parameters; lanes may differ in all of them but the step
     pub actuator: Arc<ActuatorParameters>,
+    /// faults of this lane
     pub fault: FaultState,
     /// motor angle at rest [rad]
     pub rest_angle_rad: f64,
@@ -47,7 +49,11 @@ pub struct NumericalTestBench<const N: usize> {
 /// What is compiled once for each number of lanes, here rather than in every crate that uses it: the
 /// kernel is heavy.
 pub trait Built<const N: usize> {
+    /// All lanes at rest; lanes without an entry do as the last.
+    ///
+    /// * `channels` that will be asked for; the sums of others are left out
     fn at_rest(lanes: &[Lane], channels: ChannelSet, set: InstructionSet) -> NumericalTestBench<N>;
+    /// A step for each command [rad, user side].
     fn advance(bench: &mut NumericalTestBench<N>, com: &[f64]);
 }
 

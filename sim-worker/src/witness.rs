@@ -30,6 +30,7 @@ fn torque_current(pole_pairs: f64, theta_m_rad: f64, phases: [f64; 3]) -> f64 {
 /// What the sine is expected to be like.
 #[derive(Clone, Copy, Debug)]
 pub struct SineShape {
+    /// P, as a number to calculate with
     pub pole_pairs: f64,
     /// amplitude at the motor [rad]
     pub amplitude_rad: f64,

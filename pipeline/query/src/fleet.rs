@@ -13,9 +13,13 @@ use std::path::Path;
 /// A grid point of a test.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
+    /// Name of the sequence.
     pub sequence: String,
+    /// Rotor angle at rest [rad].
     pub rest_angle_rad: f64,
+    /// Friction factor.
     pub fsj: f64,
+    /// Static eccentricity over air gap.
     pub zeta: f64,
 }
 

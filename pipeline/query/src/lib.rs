@@ -6,6 +6,28 @@
 //! values more than they need a query engine.
 //!
 //! A package and a program of its own: who simulates, builds maps and diagnoses compiles no query engine.
+//!
+//! Where to begin: [`query`] takes any SQL over the tables of [`Table`], [`Question::ask`] has what is asked again and
+//! again. [`output`] turns a frame into text, CSV, JSON and Parquet. The columns are specified in `schemas/README.md`.
+//!
+//! A dataset is a folder of folders with Parquet files; here it has one table of three runs:
+//!
+//! ```
+//! use polars::prelude::*;
+//!
+//! let dataset = tempfile::tempdir()?;
+//! std::fs::create_dir(dataset.path().join("features"))?;
+//! let file = std::fs::File::create(dataset.path().join("features/part-0000.parquet"))?;
+//! let mut runs = df!("run" => [0u64, 1, 2], "fsj" => [1.0, 2.0, 3.0], "p2_a" => [0.25, 0.5, 0.75])?;
+//! ParquetWriter::new(file).finish(&mut runs)?;
+//!
+//! let answer = ema_query::query(dataset.path(), "SELECT max(p2_a) AS most FROM features WHERE fsj < 2.5")?;
+//! println!("{}", ema_query::to_table(&answer, 0));
+//! # assert_eq!(answer.column("most")?.f64()?.get(0), Some(0.5));
+//! # Ok::<(), anyhow::Error>(())
+//! ```
+
+#![warn(missing_docs, clippy::missing_errors_doc)]
 
 pub mod cli;
 pub mod fleet;
@@ -16,6 +38,8 @@ pub mod tables;
 #[cfg(test)]
 mod tests;
 
+pub use fleet::Fleet;
+pub use output::to_table;
 pub use questions::Question;
 pub use tables::Table;
 
@@ -29,6 +53,7 @@ use std::path::Path;
 /// A table, and what to know beside it.
 #[derive(Debug)]
 pub struct Answer {
+    /// The table, its columns in the order in which they are shown.
     pub frame: DataFrame,
     /// One line each: what was left out, and which limits hold.
     pub notes: Vec<String>,
@@ -71,6 +96,9 @@ pub fn query(dir: &Path, sql: &str) -> Result<DataFrame> {
 }
 
 /// The plan of a statement after optimisation: what is read from which files.
+///
+/// # Errors
+/// As [`query`], but for what is torn behind a file's footer: that is not read here.
 pub fn explain(dir: &Path, sql: &str) -> Result<String> {
     let frame = plan(dir, sql)?;
     Ok(guarded(|| frame.explain(true)).map_err(bad_sql)?)

@@ -9,15 +9,22 @@ use std::sync::Arc;
 /// A table that SQL and questions can name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Table {
+    /// Telemetry, one row a sample.
     Runs,
+    /// One row a run.
     Features,
+    /// Drawn parameters, one row an actuator.
     Actuators,
+    /// One row a grid point and feature.
     Maps,
+    /// One row a diagnosed test.
     Diagnoses,
+    /// A view of `diagnoses`: one row a diagnosis and fault.
     Intervals,
 }
 
 impl Table {
+    /// All, in the order of the help.
     pub const ALL: [Self; 6] = [
         Self::Runs,
         Self::Features,

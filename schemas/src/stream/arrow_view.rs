@@ -13,6 +13,9 @@ impl Frame {
     /// The frame's columns as a record batch that reads the shared memory itself. The frame goes
     /// back to its publisher when the last array is dropped: keep few of them (at most
     /// [`super::MAX_BORROWED`]), and not for long.
+    ///
+    /// # Errors
+    /// A header that [`Frame::view`] refuses.
     pub fn into_record_batch(self) -> Result<RecordBatch> {
         let fault = |e: &dyn std::fmt::Display| Error::Stream {
             service: super::TELEMETRY.into(),

@@ -13,6 +13,7 @@ use std::time::Duration;
 wire! {
     /// A diagnosis. NaN stands for what is not known.
     DiagnosisMessage ("") {
+        /// [`crate::SCHEMA_VERSION`] of the sender
         schema_version: u32,
         /// 1 located, 2 unexplained, 3 out of range, 4 incomplete
         outcome: u32,
@@ -21,25 +22,39 @@ wire! {
         /// bit `n`: the map of feature number `n` ([`Feature`]) contradicts the others, or witness number `n`
         /// overrules them
         contradicting: u32,
+        /// which actuator, UTF-8 padded with zeros
         actuator: [u8; 32],
+        /// fingerprint of the actuator's parameters, as in the frames
         parameters: u64,
+        /// fingerprint of the sequence, as in the frames
         sequence: u64,
+        /// number of the run, as in the frames
         run: u64,
+        /// pass of the run, as in the frames
         stream: u64,
         /// number of this message from its sender, from 1 on, without gaps
         number: u64,
+        /// least FSJ of the area of possible faults
         fsj_lo: f64,
+        /// greatest FSJ of the area
         fsj_hi: f64,
+        /// FSJ of the area's centroid
         fsj_estimate: f64,
+        /// least zeta of the area
         zeta_lo: f64,
+        /// greatest zeta of the area
         zeta_hi: f64,
+        /// zeta of the area's centroid
         zeta_estimate: f64,
         /// size of the area in FSJ times zeta
         area: f64,
+        /// share of tests whose true pair lies in the intervals
         coverage: f64,
         /// see [`DiagnosisMessage::feature`]
         features: FeatureNumbers,
+        /// samples taken up to this diagnosis
         samples_received: u64,
+        /// samples known to be lost up to this diagnosis
         samples_lost: u64,
         /// when the frame that completed it was published (CLOCK_MONOTONIC) [ns]
         telemetry_ns: u64,
@@ -51,6 +66,7 @@ wire! {
 }
 
 impl DiagnosisMessage {
+    /// Writes the reason, cut at 512 bytes.
     pub fn set_reason(&mut self, reason: &str) {
         self.reason = to_text(reason);
     }
@@ -90,6 +106,10 @@ pub struct DiagnosisPublisher {
 }
 
 impl DiagnosisPublisher {
+    /// A publisher on `node`; subscribers may come before or after it.
+    ///
+    /// # Errors
+    /// A domain whose diagnoses have another layout (both are named); shared memory that refuses.
     pub fn open(domain: &Domain, node: &Node<Ipc>) -> Result<Self> {
         let (service, events) = services(domain, node)?;
         Ok(Self {
@@ -111,6 +131,9 @@ impl DiagnosisPublisher {
     }
 
     /// Numbers, stamps and sends `message`.
+    ///
+    /// # Errors
+    /// Shared memory that refuses.
     pub fn send(&mut self, message: &mut DiagnosisMessage) -> Result<()> {
         self.number += 1;
         message.schema_version = crate::SCHEMA_VERSION;
@@ -134,6 +157,9 @@ pub struct DiagnosisSubscriber {
 
 impl DiagnosisSubscriber {
     /// * `history` diagnoses sent before this subscriber came, at most [`DIAGNOSIS_HISTORY`]
+    ///
+    /// # Errors
+    /// A domain whose diagnoses have another layout (both are named); shared memory that refuses.
     pub fn open(domain: &Domain, history: usize) -> Result<Self> {
         let node = domain.node()?;
         let (service, events) = services(domain, &node)?;
@@ -153,6 +179,9 @@ impl DiagnosisSubscriber {
     }
 
     /// The next diagnosis, or `None` when `timeout` is over.
+    ///
+    /// # Errors
+    /// A connection that cannot be read or waited for.
     pub fn next(&mut self, timeout: Duration) -> Result<Option<DiagnosisMessage>> {
         let end = std::time::Instant::now() + timeout;
         loop {

@@ -45,6 +45,9 @@ pub struct Domain {
 impl Domain {
     /// * `name` empty for iceoryx2's own default, which programs in other languages use unless told
     ///   otherwise; else letters, digits and `-`
+    ///
+    /// # Errors
+    /// A name that is too long or has other characters.
     pub fn new(name: &str) -> Result<Self> {
         quiet();
         let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
@@ -65,6 +68,9 @@ impl Domain {
     }
 
     /// The domain that `EMA_DOMAIN` names, or the default.
+    ///
+    /// # Errors
+    /// As [`Domain::new`].
     pub fn from_environment() -> Result<Self> {
         Self::new(&std::env::var(VARIABLE).unwrap_or_default())
     }
@@ -75,6 +81,9 @@ impl Domain {
     }
 
     /// A node of this process. What dead processes left behind is removed first.
+    ///
+    /// # Errors
+    /// Shared memory that refuses.
     pub fn node(&self) -> Result<Node<Ipc>> {
         self.keep_mending();
         let start = Instant::now();

@@ -74,18 +74,35 @@ wire! {
 /// What a frame cannot be: the finding names what is there and what is allowed.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FrameFault {
+    /// the sender's schema version is another
     #[error("schema version {0}; allowed: {version}", version = crate::SCHEMA_VERSION)]
     SchemaVersion(u32),
+    /// neither BEGIN nor SAMPLES nor END
     #[error("kind {0}; allowed: 1 begin, 2 samples, 3 end")]
     Kind(u32),
+    /// bits beyond the channel table
     #[error("channel bits {0:#x}; allowed: channels of the table")]
     Channels(u32),
     #[error("{rows} rows at a stride of {stride}; allowed: 1 to stride rows, stride a multiple of 8")]
-    Rows { rows: u32, stride: u32 },
+    /// no rows, more rows than a column has room for, or columns off the 64 byte boundaries
+    Rows {
+        /// samples that the header says
+        rows: u32,
+        /// f64 values from column to column that the header says
+        stride: u32,
+    },
     #[error("truncated: {found} values; needed: {needed}")]
-    Truncated { found: usize, needed: usize },
+    /// the payload is shorter than its columns
+    Truncated {
+        /// f64 values of the payload
+        found: usize,
+        /// f64 values that the columns take
+        needed: usize,
+    },
+    /// number of the first sample
     #[error("first sample {0}; allowed: 1 to 2^53")]
     First(u64),
+    /// rate [Hz]
     #[error("rate {0} Hz; allowed: a finite rate above 0")]
     Rate(f64),
 }
@@ -101,8 +118,11 @@ pub struct RunDescription {
     pub sensors: String,
     /// fingerprint of the sequence
     pub sequence: String,
+    /// number of the run, chosen by the sender
     pub run: u64,
+    /// samples a second [Hz]
     pub rate_hz: f64,
+    /// channels that the frames have columns of
     pub channels: ChannelSet,
     /// samples of the whole run, 0 where unknown
     pub total_rows: u64,
@@ -152,10 +172,12 @@ impl RunDescription {
 }
 
 impl FrameHeader {
+    /// The actuator as text.
     pub fn actuator_text(&self) -> String {
         from_text(&self.actuator)
     }
 
+    /// The channels as a set.
     pub fn channel_set(&self) -> ChannelSet {
         ChannelSet(self.channels)
     }
@@ -194,6 +216,11 @@ impl FrameHeader {
     }
 
     /// Checks the header against the payload's length.
+    ///
+    /// * `payload` f64 values that are there
+    ///
+    /// # Errors
+    /// The first thing that a frame cannot be.
     pub fn check(&self, payload: usize) -> Result<(), FrameFault> {
         if self.schema_version != crate::SCHEMA_VERSION {
             return Err(FrameFault::SchemaVersion(self.schema_version));
@@ -225,6 +252,9 @@ impl FrameHeader {
     }
 
     /// The columns of a checked frame, in place.
+    ///
+    /// # Errors
+    /// As [`FrameHeader::check`].
     pub fn view<'a>(&self, payload: &'a [f64]) -> Result<TelemetryView<'a>, FrameFault> {
         self.check(payload.len())?;
         let rows = if self.kind == SAMPLES { self.rows as usize } else { 0 };

@@ -26,8 +26,11 @@ pub const ACKNOWLEDGEMENT: &str = "ema/acknowledgement";
 pub const BUFFER_FRAMES: usize = 512;
 /// Frames that a subscriber may hold on to at once.
 pub const MAX_BORROWED: usize = 8;
+/// Subscribers of one domain at once, to a service.
 pub const MAX_SUBSCRIBERS: usize = 8;
+/// Publishers of one domain at once, to a service.
 pub const MAX_PUBLISHERS: usize = 64;
+/// Nodes of one domain at once; a process has one or more.
 pub const MAX_NODES: usize = 128;
 /// Diagnoses that a late subscriber still gets.
 pub const DIAGNOSIS_HISTORY: usize = 64;

@@ -117,6 +117,7 @@ pub struct Pass {
 }
 
 impl Pass {
+    /// Number of this pass: another whenever the run is sent again.
     pub fn stream(&self) -> u64 {
         self.header.stream
     }
@@ -179,6 +180,9 @@ pub struct Publisher {
 
 impl Publisher {
     /// * `rows`, `channels` the largest frame
+    ///
+    /// # Errors
+    /// Shared memory without room for the frames; a domain of another layout; shared memory that refuses.
     pub fn open(domain: &Domain, delivery: Delivery, rows: usize, channels: usize) -> Result<Self> {
         let node = domain.node()?;
         let service = telemetry(domain, &node)?;
@@ -304,6 +308,9 @@ impl Publisher {
 
     /// Begins a run. A lossless publisher waits, at most `patience`, until a subscriber has
     /// answered, and then a moment for the others. `None`: nobody did, or `go_on` said no.
+    ///
+    /// # Errors
+    /// Shared memory that refuses.
     pub fn begin(
         &mut self,
         about: &RunDescription,
@@ -357,6 +364,9 @@ impl Publisher {
     }
 
     /// A frame of `rows` samples from number `first` on, its columns zero.
+    ///
+    /// # Errors
+    /// A frame larger than the largest; more than four that are neither sent nor dropped.
     pub fn loan(&mut self, pass: &Pass, first: u64, rows: usize) -> Result<FrameMut> {
         let mut header = FrameHeader {
             kind: SAMPLES,
@@ -373,6 +383,9 @@ impl Publisher {
     }
 
     /// Sends a frame. `false`: it did not reach every subscriber (and of a lossless stream: none).
+    ///
+    /// # Errors
+    /// Shared memory that refuses.
     pub fn publish(&mut self, pass: &mut Pass, mut frame: FrameMut) -> Result<bool> {
         frame.sample.user_header_mut().publish_ns = super::now_ns();
         let n = match frame.sample.send() {
@@ -396,6 +409,9 @@ impl Publisher {
 
     /// Ends a run and waits, at most `patience`, for the answers of those who answered its
     /// beginning and are alive (a real-time stream: of all). The frames stay readable meanwhile.
+    ///
+    /// # Errors
+    /// Shared memory that refuses.
     pub fn end(&mut self, pass: &Pass, patience: Duration, go_on: &dyn Fn() -> bool) -> Result<Ending> {
         let header = FrameHeader {
             kind: END,
@@ -444,7 +460,9 @@ impl Publisher {
 /// A sink that publishes what it accepts, a frame a block; for producers that hold their columns
 /// already.
 pub struct StreamSink<'a> {
+    /// where the frames go
     pub publisher: &'a mut Publisher,
+    /// the run that they are of, begun before
     pub pass: &'a mut Pass,
 }
 

@@ -16,6 +16,7 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// What the frame says of itself; not checked yet, see [`Frame::view`].
     pub fn header(&self) -> &FrameHeader {
         self.sample.user_header()
     }
@@ -26,6 +27,9 @@ impl Frame {
     }
 
     /// The columns in place, checked.
+    ///
+    /// # Errors
+    /// As [`FrameHeader::check`].
     pub fn view(&self) -> Result<TelemetryView<'_>, FrameFault> {
         self.header().view(self.payload())
     }
@@ -49,6 +53,9 @@ pub struct Subscriber {
 
 impl Subscriber {
     /// Refuses a domain whose telemetry has another schema version, with both versions.
+    ///
+    /// # Errors
+    /// A domain of another layout; shared memory that refuses.
     pub fn open(domain: &Domain) -> Result<Self> {
         let node = domain.node()?;
         let service = telemetry(domain, &node)?;
@@ -77,11 +84,15 @@ impl Subscriber {
         })
     }
 
+    /// The node that it is on, for further services of the same process.
     pub fn node(&self) -> &Node<Ipc> {
         &self.node
     }
 
     /// The next frame, if one is there.
+    ///
+    /// # Errors
+    /// A connection that cannot be read.
     pub fn receive(&self) -> Result<Option<Frame>> {
         let sample = self
             .port
@@ -91,6 +102,9 @@ impl Subscriber {
     }
 
     /// Sleeps until a publisher says that there is something, or `timeout` is over.
+    ///
+    /// # Errors
+    /// A listener that fails.
     pub fn wait(&self, timeout: Duration) -> Result<()> {
         match self.listener.timed_wait(|_| (), timeout) {
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
@@ -101,6 +115,9 @@ impl Subscriber {
     /// Answers the first or the last frame of a stream.
     ///
     /// * `frames` sample frames that came before the first gap in their numbers
+    ///
+    /// # Errors
+    /// Shared memory that refuses.
     pub fn answer(&self, header: &FrameHeader, frames: u64) -> Result<()> {
         let answer = Acknowledgement {
             stream: header.stream,

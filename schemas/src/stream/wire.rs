@@ -6,6 +6,7 @@ use crate::feature::Feature;
 
 /// A field's value before anything is written into it.
 pub trait Blank {
+    /// Zero, or all zeros.
     const BLANK: Self;
 }
 impl Blank for u32 {

@@ -9,10 +9,14 @@ pub struct Gains {
     /// `Ki dt / kt` [A per unit of speed and step]
     pub ki_dt: f64,
     /// current limits `-Imax`, `Imax` [A]
+    /// lower current limit `-Imax` [A]
     pub i_min: f64,
+    /// upper current limit `Imax` [A]
     pub i_max: f64,
     /// integrator limits `-Tint/kt`, `Tint/kt` [A]
+    /// lower integrator limit `-Tint/kt` [A]
     pub x_min: f64,
+    /// upper integrator limit `Tint/kt` [A]
     pub x_max: f64,
 }
 

@@ -15,8 +15,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Files and bytes that were copied, and files that were there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Copied {
+    /// files copied
     pub files: u64,
+    /// bytes copied
     pub bytes: u64,
+    /// files that were there with the same size, and were left
     pub there: u64,
 }
 

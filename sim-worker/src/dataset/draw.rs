@@ -14,13 +14,27 @@ const TRUNCATE_SD: f64 = 3.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Distribution {
     /// x0 (1 + h u), u uniform in -1..1
-    Uniform { half_width_relative: f64 },
+    Uniform {
+        /// h, above 0 and at most 0.9
+        half_width_relative: f64,
+    },
     /// x0 (1 + s z), z standard normal within plus and minus 3
-    Normal { sd_relative: f64 },
-    /// x0 exp(s z): for what scatters by factors, as friction and backlash
-    Lognormal { sd_log: f64 },
+    Normal {
+        /// s before the tails are cut, above 0 and at most 0.3
+        sd_relative: f64,
+    },
+    /// x0 exp(s z), z likewise: for what scatters by factors, as friction and backlash
+    Lognormal {
+        /// s before the tails are cut, above 0 and at most 2
+        sd_log: f64,
+    },
     /// any of a to b alike, whatever x0: for temperatures
-    Range { from: f64, to: f64 },
+    Range {
+        /// a, in the parameter's unit
+        from: f64,
+        /// b, above a
+        to: f64,
+    },
 }
 
 const KINDS: &str = "uniform, normal, lognormal or range";
@@ -28,6 +42,9 @@ const KINDS: &str = "uniform, normal, lognormal or range";
 impl Distribution {
     /// From a table `{ distribution = "uniform", half_width_relative = 0.05, source = "assumed" }`; also its
     /// source.
+    ///
+    /// # Errors
+    /// Another distribution, a key or value that it may not have.
     pub fn from_section(mut s: Section) -> Result<(Self, String)> {
         const SHARE: &str = "a number above 0 and at most 0.9";
         const ANY: &str = "a finite number";

@@ -17,6 +17,7 @@ use std::path::Path;
 /// How a merge ended.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Merged {
+    /// the dataset is finished, now or before; its manifest
     Whole(Manifest),
     /// these parts are missing; nothing was changed
     Missing(Vec<usize>),

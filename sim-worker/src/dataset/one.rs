@@ -14,6 +14,7 @@ use std::path::Path;
 pub struct OneActuator<'a> {
     /// the test; its rest angle is the first
     pub setup: &'a TestSetup,
+    /// fault pairs, each at every rest angle
     pub grid: &'a FaultGrid,
     /// further rotor angles at rest [rad], rising
     pub rest_angles_rad: &'a [f64],

@@ -37,11 +37,15 @@ impl Kind {
 /// Consecutive runs of one actuator through one sequence from one rest angle, of one kind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
+    /// place of the part in [`DatasetPlan::parts`]
     pub number: usize,
-    /// places in the plan
+    /// its place in [`DatasetPlan::actuators`]
     pub actuator: usize,
+    /// its place in [`DatasetPlan::sequences`]
     pub sequence: usize,
+    /// its place in [`DatasetPlan::rest_angles_rad`]
     pub rest: usize,
+    /// points of the grid, or random tests
     pub kind: Kind,
     /// numbers in the whole dataset
     pub runs: Range<u64>,
@@ -59,6 +63,7 @@ impl DatasetPlan {
         self.groups().map(|g| g.3 as u64).sum()
     }
 
+    /// Runs of all actuators.
     pub fn runs(&self) -> u64 {
         self.runs_per_actuator() * self.actuators.len() as u64
     }

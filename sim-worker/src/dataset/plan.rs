@@ -48,6 +48,7 @@ pub struct PlannedActuator {
     pub tail: String,
     /// where it sits; empty where there is one place only
     pub position: String,
+    /// drawn, or as the plan states them
     pub parameters: Arc<ActuatorParameters>,
 }
 
@@ -56,6 +57,7 @@ pub struct PlannedActuator {
 pub struct KeptTelemetry {
     /// samples of the feature extraction for one that is kept
     pub every: u64,
+    /// rate of the kept samples [Hz]
     pub rate_hz: f64,
     /// asked for
     pub wanted: ChannelSet,
@@ -68,20 +70,27 @@ pub struct KeptTelemetry {
 /// A fleet plan, checked.
 #[derive(Clone, Debug)]
 pub struct DatasetPlan {
+    /// letters, digits, - and _
     pub name: String,
     /// the file's text with the files that it names
     pub text: String,
+    /// of all draws
     pub seed: u64,
     /// file and text of the actuator that all are variations of
     base: (String, String),
+    /// tails by positions, then the single ones
     pub actuators: Vec<PlannedActuator>,
+    /// at least one
     pub sequences: Vec<TestSequence>,
+    /// fault pairs of the map runs
     pub grid: FaultGrid,
+    /// rotor angles at rest, at least one [rad]
     pub rest_angles_rad: Vec<f64>,
     /// constant load torque [N m, motor side]
     pub load_n_m: f64,
     /// P2 from i_eq instead of the phase currents
     pub equivalent_current: bool,
+    /// none: true values
     pub sensors: Option<SensorModel>,
     /// rate at which features are taken [Hz]
     pub rate_hz: f64,
@@ -89,6 +98,7 @@ pub struct DatasetPlan {
     pub feature_seeds: u64,
     /// random fault pairs of each actuator, to check diagnoses by
     pub tests_per_actuator: usize,
+    /// none: features only
     pub telemetry: Option<KeptTelemetry>,
     /// where the dataset goes if nothing else is said
     pub out: String,
@@ -160,6 +170,9 @@ fn whole(s: &mut Section, key: &str, default: u64, most: u64) -> Result<u64> {
 
 impl DatasetPlan {
     /// Reads a plan's file.
+    ///
+    /// # Errors
+    /// A file that cannot be read; else as [`DatasetPlan::parse`].
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
         let dir = path.parent().unwrap_or(Path::new(""));
@@ -384,6 +397,9 @@ impl DatasetPlan {
     /// The parameters of one actuator as a TOML file.
     ///
     /// * `actuator` its place in [`DatasetPlan::actuators`]
+    ///
+    /// # Errors
+    /// A text of the actuator that is not allowed; a plan that was parsed has none such.
     pub fn actuator_toml(&self, actuator: usize) -> Result<String> {
         let (file, text) = &self.base;
         let nominal = ActuatorParameters::parse(file, text)?.values();

@@ -92,6 +92,9 @@ fn with_lines<T>(progress: &Arc<Progress>, total: u64, work: impl FnOnce() -> T)
 }
 
 /// Works through a share with a progress display. `Ok(None)` where it was interrupted.
+///
+/// # Errors
+/// As [`work`].
 pub fn work_shown(plan: &DatasetPlan, storage: &Storage, shard: Shard, title: &str) -> Result<Option<Done>> {
     let progress = Arc::new(Progress::default());
     let parts = plan.parts();

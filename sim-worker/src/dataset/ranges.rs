@@ -40,6 +40,7 @@ pub struct FeatureRanges<'a> {
 }
 
 impl<'a> FeatureRanges<'a> {
+    /// Ranges for the actuators and sequences of a plan.
     pub fn of(plan: &'a DatasetPlan) -> Self {
         Self { plan }
     }

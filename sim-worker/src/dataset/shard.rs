@@ -6,7 +6,9 @@ use std::ops::Range;
 /// Share `index` of `count`, counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
+    /// from 0 to `count - 1`
     pub index: usize,
+    /// at least 1
     pub count: usize,
 }
 
@@ -16,9 +18,13 @@ pub const SHARDS: &str = "EMA_SHARDS";
 const ALLOWED: &str = "I/N, I from 0 to N - 1";
 
 impl Shard {
+    /// All of it: the only share of one.
     pub const WHOLE: Self = Self { index: 0, count: 1 };
 
     /// From `I/N`.
+    ///
+    /// # Errors
+    /// A text of another form, or an index that is not below the count.
     pub fn parse(text: &str) -> Result<Self> {
         let bad = || Error::bad("command line", "--shard", text, ALLOWED);
         let (index, count) = text.split_once('/').ok_or_else(bad)?;

@@ -15,10 +15,16 @@ use std::sync::Arc;
 pub struct Shared {
     /// noise that the grid points have in common
     pub noise: Option<Arc<Noise>>,
+    /// how telemetry is encoded; none where it is not kept
     pub layout: Option<TelemetryLayout>,
 }
 
 impl Shared {
+    ///
+    /// * `sequence` its place in [`DatasetPlan::sequences`]
+    ///
+    /// # Errors
+    /// As [`TelemetryLayout::new`].
     pub fn new(plan: &DatasetPlan, sequence: usize) -> Result<Self> {
         let rows = plan.rows(sequence);
         let layout = |t: &KeptTelemetry| TelemetryLayout::new(t.stored, plan.sensors.is_some(), t.rate_hz);
@@ -121,13 +127,21 @@ pub struct RunSink {
 
 /// What is left of one run.
 pub struct RunResult {
+    /// number of the run in the dataset
     pub run: u64,
+    /// raw features and their standard deviations over the noise seeds
     pub features: FeatureValues,
+    /// encoded samples; none where they are not kept
     pub telemetry: Option<RunChunk>,
 }
 
 impl RunSink {
     /// A sink for a run of a part.
+    ///
+    /// * `features` made for its actuator and sequence
+    ///
+    /// # Errors
+    /// As [`TelemetryLayout::encoder`].
     pub fn new(
         plan: &DatasetPlan,
         part: &Part,
@@ -169,6 +183,9 @@ impl RunSink {
     }
 
     /// What is left of run number `run`.
+    ///
+    /// # Errors
+    /// As [`RunEncoder::finish`].
     pub fn finish(self, run: u64) -> Result<RunResult> {
         let telemetry = self.keeper.map(|k| k.encoder.finish()).transpose()?;
         Ok(RunResult {

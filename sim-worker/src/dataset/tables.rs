@@ -28,6 +28,9 @@ thread_local! {
 
 /// Reads bytes that may be damaged: the Parquet library panics on some of them. Such a panic is an error, and
 /// says nothing on standard error.
+///
+/// # Errors
+/// A panic of `read`.
 pub fn guarded<T>(read: impl FnOnce() -> T) -> std::result::Result<T, &'static str> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
@@ -45,6 +48,9 @@ pub fn guarded<T>(read: impl FnOnce() -> T) -> std::result::Result<T, &'static s
 }
 
 /// A Parquet file by its footer.
+///
+/// # Errors
+/// Bytes that are no whole Parquet file, in words.
 pub fn opened(bytes: Bytes) -> std::result::Result<ParquetRecordBatchReaderBuilder<Bytes>, String> {
     let open = || ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(|e| e.to_string());
     guarded(open).unwrap_or_else(|e| Err(e.into()))
@@ -101,7 +107,9 @@ fn raw_columns(rows: &[FeatureValues]) -> Vec<ArrayRef> {
 /// What a part's telemetry is, as its staged features remember it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Receipt {
+    /// size of the file [bytes]
     pub bytes: u64,
+    /// checksum of the file, 64 hexadecimal digits
     pub blake3: String,
     /// samples
     pub rows: u64,
@@ -116,6 +124,12 @@ pub struct Staged {
 }
 
 impl Staged {
+    /// As a Parquet file, with the checksum of its content among the metadata.
+    ///
+    /// * `path` for messages
+    ///
+    /// # Errors
+    /// What the Parquet writer refuses.
     pub fn to_bytes(&self, path: &str, plan_fingerprint: &str, part: &Part) -> Result<Vec<u8>> {
         let mut fields = vec![Field::new("run", DataType::UInt64, false)];
         fields.extend(raw_fields());
@@ -150,6 +164,9 @@ impl Staged {
     /// Refuses what is not whole, or of another plan or part.
     ///
     /// * `same_program` the part was made by this version of the program, so that it can be compared bit by bit
+    ///
+    /// # Errors
+    /// A torn or changed file; runs, plan, part or telemetry that are not those of `part`.
     pub fn from_bytes(
         path: &str,
         bytes: Bytes,
@@ -221,6 +238,11 @@ pub struct Table {
 }
 
 impl Table {
+    ///
+    /// * `path` for messages
+    ///
+    /// # Errors
+    /// Bytes that are no whole Parquet file.
     pub fn read(path: &str, bytes: Bytes) -> Result<Self> {
         let size = bytes.len();
         guarded(|| Self::read_trusting(path, bytes))
@@ -247,12 +269,18 @@ impl Table {
     }
 
     /// Number of rows, by the footer alone.
+    ///
+    /// # Errors
+    /// Bytes that are no whole Parquet file.
     pub fn rows_of(path: &str, bytes: Bytes) -> Result<u64> {
         let builder = opened(bytes).map_err(|e| torn(path, e))?;
         Ok(builder.metadata().file_metadata().num_rows() as u64)
     }
 
     /// The metadata `key`, by the footer alone.
+    ///
+    /// # Errors
+    /// Bytes that are no whole Parquet file.
     pub fn pair_of(path: &str, bytes: Bytes, key: &str) -> Result<Option<String>> {
         let builder = opened(bytes).map_err(|e| torn(path, e))?;
         let list = builder.metadata().file_metadata().key_value_metadata();
@@ -260,10 +288,12 @@ impl Table {
         Ok(found.and_then(|kv| kv.value.clone()))
     }
 
+    /// The metadata `key`; `nothing` where there is none.
     pub fn pair(&self, key: &str) -> String {
         self.pairs.get(key).cloned().unwrap_or_else(|| "nothing".into())
     }
 
+    /// Rows of all row groups.
     pub fn rows(&self) -> usize {
         self.batches.iter().map(RecordBatch::num_rows).sum()
     }
@@ -295,6 +325,10 @@ impl Table {
         )
     }
 
+    /// A column of UInt64.
+    ///
+    /// # Errors
+    /// No such column, or another type.
     pub fn numbers(&self, name: &str) -> Result<Vec<u64>> {
         let mut all = Vec::new();
         for c in self.columns(name)? {
@@ -306,6 +340,10 @@ impl Table {
         Ok(all)
     }
 
+    /// A column of Float64; none for null.
+    ///
+    /// # Errors
+    /// No such column, or another type.
     pub fn values(&self, name: &str) -> Result<Vec<Option<f64>>> {
         let mut all = Vec::new();
         for c in self.columns(name)? {
@@ -317,6 +355,10 @@ impl Table {
         Ok(all)
     }
 
+    /// A column of texts; empty for null.
+    ///
+    /// # Errors
+    /// No such column, or another type.
     pub fn texts(&self, name: &str) -> Result<Vec<String>> {
         let mut all = Vec::new();
         for c in self.columns(name)? {
@@ -329,6 +371,9 @@ impl Table {
     }
 
     /// The raw features of all rows.
+    ///
+    /// # Errors
+    /// A missing column, or one of another type.
     pub fn features(&self) -> Result<Vec<FeatureValues>> {
         let means = RawFeatures::COLUMNS
             .map(|n| self.values(n))
@@ -345,7 +390,9 @@ impl Table {
 
 /// The features of some runs of one actuator.
 pub struct PartRows<'a> {
+    /// which runs
     pub part: &'a Part,
+    /// by run, in order
     pub rows: Vec<FeatureValues>,
 }
 
@@ -416,12 +463,20 @@ fn features_batch(plan: &DatasetPlan, parts: &[PartRows<'_>]) -> Result<RecordBa
 }
 
 /// A file of `features`: a row group for each of `groups`.
+///
+/// # Errors
+/// What the Parquet writer refuses.
 pub fn features_file(plan: &DatasetPlan, groups: &[Vec<PartRows<'_>>]) -> Result<Vec<u8>> {
     let batches: Vec<RecordBatch> = groups.iter().map(|g| features_batch(plan, g)).collect::<Result<_>>()?;
     table_bytes(&batches, pairs(plan))
 }
 
 /// The table `actuators`.
+///
+/// * `path` for messages
+///
+/// # Errors
+/// What the Parquet writer refuses.
 pub fn actuators_file(plan: &DatasetPlan, path: &str) -> Result<Vec<u8>> {
     let mut fields: Vec<Field> = ["actuator", "tail", "position", "parameters"]
         .map(|n| Field::new(n, DataType::Utf8, false))

@@ -21,6 +21,7 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct Finding {
     /// object that it is about
     pub path: String,
+    /// what is wrong with it, in words
     pub what: String,
     /// parts that must be made again; none where the object is only in the way
     pub parts: Vec<usize>,
@@ -31,12 +32,15 @@ pub struct Finding {
 /// What a check found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
+    /// what the dataset should be
     pub plan: FleetSummary,
     /// the manifest is there
     pub finished: bool,
-    /// bytes and files that were read
+    /// bytes that were read
     pub bytes: u64,
+    /// files that were read
     pub files: usize,
+    /// by object; empty where the dataset is as it should be
     pub findings: Vec<Finding>,
     /// worth knowing, no fault
     pub notes: Vec<String>,
@@ -45,9 +49,13 @@ pub struct Report {
 /// Numbers of the plan that a dataset is of.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FleetSummary {
+    /// name of the plan
     pub name: String,
+    /// actuators of the plan
     pub actuators: usize,
+    /// runs of all actuators
     pub runs: u64,
+    /// parts of the plan
     pub parts: usize,
 }
 
@@ -485,6 +493,9 @@ pub fn verify(storage: &Storage, said: impl Fn(usize, usize) + Sync) -> Result<R
 }
 
 /// Removes what is damaged, and the manifest, so that the parts concerned can be made again.
+///
+/// # Errors
+/// Storage that refuses.
 pub fn discard(storage: &Storage, report: &Report) -> Result<()> {
     let damaged = report.findings.iter().filter(|f| f.damaged);
     let paths: BTreeSet<&str> = damaged.map(|f| f.path.as_str()).collect();

@@ -27,7 +27,9 @@ pub struct Done {
     pub before: usize,
     /// of these, made by another worker at the same time
     pub twice: usize,
+    /// runs of the share
     pub runs: u64,
+    /// steps simulated by this start
     pub steps: u64,
     /// stored
     pub bytes: u64,
@@ -142,6 +144,9 @@ pub struct Made {
 
 impl Made {
     /// Looks what is there.
+    ///
+    /// # Errors
+    /// Storage that refuses.
     pub fn find(plan: &DatasetPlan, storage: &Storage) -> Result<Self> {
         let names = |prefix: &str| -> Result<BTreeSet<String>> {
             Ok(storage.list(prefix)?.into_iter().map(|(path, _)| path).collect())
@@ -219,6 +224,10 @@ pub struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
+    /// Experiments of all sequences, and the noise that runs share.
+    ///
+    /// # Errors
+    /// A rate that no step can serve.
     pub fn new(plan: &'a DatasetPlan) -> Result<Self> {
         let step = plan.actuators[0].parameters.step_s;
         let mut experiments = Vec::new();
@@ -244,6 +253,9 @@ impl<'a> Bench<'a> {
     }
 
     /// Simulates some runs of a part; `None` where it was stopped.
+    ///
+    /// # Errors
+    /// As [`simulate`].
     pub fn block(&self, part: &Part, runs: &[u64], progress: &Progress) -> Result<Option<Vec<RunResult>>> {
         let features = self.features.get(self.plan, part);
         let shared = &self.shared[part.sequence];
@@ -277,6 +289,9 @@ impl<'a> Bench<'a> {
     }
 
     /// Bytes that the telemetry of some runs of a part takes.
+    ///
+    /// # Errors
+    /// As [`TelemetryLayout::file`].
     pub fn telemetry_bytes(&self, part: &Part, results: Vec<RunResult>) -> Result<usize> {
         Ok(self.telemetry_file(part, results)?.map_or(0, |f| f.0.len()))
     }
@@ -393,6 +408,9 @@ pub fn work(plan: &DatasetPlan, storage: &Storage, shard: Shard, progress: &Prog
 
 /// A dataset's own plan, and its fingerprint when the dataset was made (another version of the program may
 /// give it another one).
+///
+/// # Errors
+/// No dataset there, or one of version 0.1; a plan that is torn or not allowed.
 pub fn plan_of(storage: &Storage) -> Result<(DatasetPlan, String)> {
     let file = format!("{}/{PLAN}", storage.describe());
     let allowed = "a dataset (ema simulate, ema dataset make, sim-worker)";

@@ -51,6 +51,7 @@ pub struct Constants {
     pub resistance: f64,
     /// 2 L [H]
     pub inductance: f64,
+    /// P, as a number to calculate with
     pub pole_pairs: f64,
 }
 

@@ -28,11 +28,15 @@ pub struct Injection {
     pub commutation: f64,
     /// resistance of the source [ohm]
     pub source: f64,
-    /// measured current: `gain i + offset` [A]
+    /// gain of the measured current `gain i + offset`
     pub gain: f64,
+    /// offset of the measured current [A]
     pub offset: f64,
+    /// delay of the controller's output; none without
     pub delay: Option<DelayLine>,
+    /// bristles in place of dry friction; none without
     pub bristles: Option<Dahl>,
+    /// mass behind a compliance; none without
     pub behind: Option<TwoMass>,
 }
 
@@ -193,8 +197,9 @@ impl Injection {
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub struct Felt<const N: usize> {
-    /// torque against the motor and friction level
+    /// torque against the motor
     pub torque: [f64; N],
+    /// added to the levels of static and dynamic friction
     pub friction: [f64; N],
     /// 1 for the actuator's dry friction, 0 where bristles replace it
     pub dry: [f64; N],
@@ -202,17 +207,19 @@ pub struct Felt<const N: usize> {
     pub agile: [f64; N],
     /// loss of each leg's voltage
     pub drop: [[f64; N]; 3],
-    /// half the voltage that a unit of supply current costs; mean of the supply current up to the
-    /// last step
+    /// half the voltage that a unit of supply current costs
     pub sag: [f64; N],
+    /// mean of the supply current up to the last step, levelled by the bus
     pub supply: [f64; N],
     /// weight of a step in that mean
     pub bus: f64,
-    /// measured current
+    /// gain of the measured current
     pub gain: [f64; N],
+    /// offset of the measured current
     pub offset: [f64; N],
-    /// one over the turns left of each phase, and over their sum; 0 with all turns
+    /// one over the turns left of each phase; 0 with all turns
     pub more: [[f64; N]; 3],
+    /// one over the sum of `more`; 0 with all turns
     pub even: [f64; N],
     /// motor angle at the step's start
     pub th: [f64; N],
@@ -224,6 +231,7 @@ pub struct LaneEffects<const N: usize> {
     /// none in a lane without effects
     lanes: Vec<Option<Injection>>,
     units: Vec<Units>,
+    /// what they add to the present step
     pub felt: Felt<N>,
     electrical: bool,
     dead_time: bool,
@@ -361,6 +369,7 @@ impl<const N: usize> LaneEffects<N> {
         }
     }
 
+    /// Whether any lane has dead time.
     pub fn has_dead_time(&self) -> bool {
         self.dead_time
     }

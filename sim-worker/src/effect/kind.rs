@@ -16,6 +16,7 @@ pub enum Equation {
 }
 
 impl Equation {
+    /// All, in the order of [`Equation::index`].
     pub const ALL: [Self; 5] = [
         Self::Torque,
         Self::Electrical,
@@ -29,6 +30,7 @@ impl Equation {
         self as usize
     }
 
+    /// In files and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Torque => "torque",
@@ -54,10 +56,13 @@ impl Equation {
 /// A parameter of an effect.
 #[derive(Debug, PartialEq)]
 pub struct ParameterKey {
+    /// in files
     pub name: &'static str,
+    /// SI; `-` for a ratio
     pub unit: &'static str,
-    /// physical bounds, enforced wherever a value enters
+    /// least value that physics allows, enforced wherever a value enters
     pub low: f64,
+    /// greatest value that physics allows
     pub high: f64,
 }
 
@@ -72,6 +77,7 @@ macro_rules! effects {
         pub enum EffectKind { $($(#[$doc])* $variant),+ }
 
         impl EffectKind {
+            /// All, in the order of the table.
             pub const ALL: &'static [Self] = &[$(Self::$variant),+];
 
             /// Canonical name, as in files.
@@ -154,6 +160,7 @@ effects! {
 }
 
 impl EffectKind {
+    /// The effect of a canonical name; none for any other.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|k| k.name() == name)
     }

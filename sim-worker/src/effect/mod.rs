@@ -24,13 +24,16 @@ pub use state::{Dahl, DelayLine, Play, TwoMass};
 /// An entry of an effect's provenance.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Note {
+    /// a text, for example a data hash
     Text(String),
+    /// a number, for example a score
     Number(f64),
 }
 
 /// An effect with its parameters; SI units, motor side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effect {
+    /// which equation
     pub kind: EffectKind,
     /// values of [`EffectKind::keys`], in their order
     pub values: [f64; 3],

@@ -17,16 +17,24 @@ use std::path::Path;
 /// A ready question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Question {
+    /// Mean, standard deviation and quantiles of P1, P2, P3 and ripple over the fleet, at each fault pair.
     FaultLevels,
+    /// Actuators whose maps lie aside of the fleet's, the farthest first.
     OutOfFamily,
+    /// How far each feature moves with FSJ and zeta, by region of the fault plane.
     Sensitivity,
+    /// Correlation, slope and elasticity of each healthy feature over each drawn parameter.
     ParameterSensitivity,
+    /// How often the intervals hold the true pair, by tail number.
     Coverage,
+    /// Outcomes of the diagnoses, by region of the fault plane.
     Outcomes,
+    /// How far maps have moved between two datasets, the farthest first.
     MapDrift,
 }
 
 impl Question {
+    /// All, in the order of the help.
     pub const ALL: [Self; 7] = [
         Self::FaultLevels,
         Self::OutOfFamily,
