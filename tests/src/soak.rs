@@ -13,6 +13,9 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+/// How long the diagnosis of a run that nobody disturbed may take: a diagnoser that has just started reads its maps first.
+const OWED: Duration = Duration::from_secs(10);
+
 /// Longest time that a run may take: beyond it something hangs.
 const HANG: Duration = Duration::from_secs(60);
 
@@ -235,6 +238,11 @@ pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked
         if touched {
             touched_runs.push(run);
         } else {
+            // received is not diagnosed: a kill before the diagnosis would touch the run after all
+            let end = Instant::now() + OWED;
+            while !s.exact.contains_key(&run) && Instant::now() < end {
+                s.listen(Duration::from_millis(20));
+            }
             untouched.push(run);
         }
         tell(&s.seen);

@@ -66,10 +66,10 @@ fn regress_features_and_maps_of_one_actuator() {
 #[test]
 fn regress_diagnoses_of_random_recordings() {
     let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("r.parquet");
     let fixture = fixture();
     for d in fixture["diagnoses"].as_array().unwrap() {
         let option = |key: &str| d[key].to_string();
+        let file = dir.path().join(format!("r.{}", d["form"].as_str().unwrap()));
         let (fsj, zeta, seed) = (option("fsj"), option("zeta"), option("seed"));
         let faults = ["run", "--fsj", &fsj, "--zeta", &zeta, "--seed", &seed];
         ok(&[&faults[..], &["--sensors", "reference", "--out", text(&file)]].concat());

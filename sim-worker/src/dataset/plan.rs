@@ -582,13 +582,20 @@ fn actuators(
             }
         }
     }
-    for mut one in s.sections("actuators")? {
+    let listed = s.sections("actuators")?;
+    // where there is one actuator only, its name is enough
+    let alone = places.is_empty() && listed.len() == 1;
+    for mut one in listed {
         let tail = one.text("tail", PLAIN)?;
-        let position = one.text_or("position", "")?;
+        let position = if alone {
+            one.text_or("position", "")?
+        } else {
+            one.text("position", PLAIN)?
+        };
         if !plain_name(&tail) {
             return Err(one.bad("tail", tail, NAME));
         }
-        if !(position.is_empty() || plain(&position)) {
+        if !(alone && position.is_empty() || plain(&position)) {
             return Err(one.bad("position", position, PLAIN));
         }
         let mut known = Vec::new();
