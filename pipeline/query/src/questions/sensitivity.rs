@@ -26,7 +26,7 @@ pub fn reads(dir: &Path) -> Result<Vec<LazyFrame>> {
 }
 
 /// Measured standard deviation of a feature by row of the columns that [`reads`] names; NaN where it is not known.
-fn deviation(feature: Feature, columns: &[Vec<f64>]) -> impl Fn(usize) -> f64 {
+fn deviation(feature: Feature, columns: &[Vec<f64>]) -> impl FnMut(usize) -> f64 {
     let names = self::columns();
     let column = |name: &str| &columns[names.iter().position(|n| *n == name).expect("one of the columns")];
     // the feature by which the nominal run is known
@@ -37,8 +37,8 @@ fn deviation(feature: Feature, columns: &[Vec<f64>]) -> impl Fn(usize) -> f64 {
         (raw, column(raw.column()), column(raw.deviation()), over)
     };
     let formed_from: Vec<_> = feature.form().raws().map(one).collect();
+    let [mut raw, mut sd, mut nominal] = [RawFeatures::default(); 3];
     move |i| {
-        let [mut raw, mut sd, mut nominal] = [RawFeatures::default(); 3];
         for &(r, values, deviations, over) in &formed_from {
             (raw[r], sd[r]) = (Some(values[i]), Some(deviations[i]));
             nominal[r] = over.and_then(|(form, x)| form.nominal(values[i], x[i]));
@@ -113,7 +113,7 @@ fn cells(fleet: &Fleet, place: usize, steps: &[Step], actuators: &Groups) -> Cel
             home[i] = region::of(fleet.points[i].fsj, fleet.points[i].zeta).map(|r| cell(plane, r));
         }
     }
-    let deviation = deviation(Feature::ALL[place], &fleet.values);
+    let mut deviation = deviation(Feature::ALL[place], &fleet.values);
     for (i, &p) in fleet.point.iter().enumerate() {
         let sd = deviation(i);
         if let (Some(cell), false) = (home[p as usize], sd.is_nan()) {

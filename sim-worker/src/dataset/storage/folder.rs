@@ -224,7 +224,8 @@ fn with_folder<T>(folder: &Path, mut act: impl FnMut() -> io::Result<T>) -> io::
             done => return done,
         }
         match fs::create_dir_all(folder) {
-            Err(e) if e.kind() == ErrorKind::NotFound => {}
+            // a folder that others remove at this moment is seen to exist, and then is none
+            Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::AlreadyExists) => last = e,
             made => made?,
         }
     }
