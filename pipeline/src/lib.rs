@@ -69,7 +69,7 @@ pub mod speed;
 pub use calibrate::Effort;
 pub use case::{Case, Settings};
 pub use dataset::Dataset;
-pub use discrepancy::findings::Findings;
+pub use ema_study::told::findings::Findings;
 pub use input::Measured;
 pub use maps::{GridFeatures, MapRequest};
 pub use sim_worker::progress;

@@ -1,6 +1,8 @@
 //! What the report shows: maps with cuts, located areas, traces, tables.
 
 pub(crate) mod demo;
+pub(crate) mod discrepancy;
+mod discrepancy_figures;
 
 use crate::report::{Band, Curve, Figure, MapPlot, RegionPlot, Strip, TracePlot};
 use diagnoser::curves::common;

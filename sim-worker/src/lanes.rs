@@ -200,7 +200,7 @@ impl<const N: usize> Constants<N> {
     /// Writes lane `l` for an actuator with faults, resting at `rest_angle_rad`, under a constant load torque.
     pub fn set(&mut self, l: usize, p: &ActuatorParameters, f: FaultState, rest_angle_rad: f64, load_n_m: f64) {
         let u = Units::new(p);
-        let kt = 2.0 * p.back_emf_v_s_per_rad;
+        let kt = p.drive_constant();
         let flanks = 6.0 * p.pole_pairs as f64 / std::f64::consts::PI;
         let fs = f.fsj * p.static_friction_n_m;
         // the effects that are constants; adding 0 or multiplying by 1 changes no bit

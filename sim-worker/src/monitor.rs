@@ -66,7 +66,7 @@ impl MonitorModel {
     /// * `dt` step [s]
     pub fn new(p: &ActuatorParameters, dt: f64) -> Self {
         let kt = p.torque_constant_n_m_per_a();
-        let kp_kt = p.speed_proportional_n_m_s_per_rad / kt;
+        let kp_kt = p.speed_proportional_n_m_s_per_rad / p.drive_constant();
         let j_dt = p.inertia_kg_m2 / dt;
         let inv_inertia = 1.0 / (j_dt + p.viscous_n_m_s_per_rad);
         // two phases in series

@@ -24,12 +24,14 @@ enum Bound {
     Step,
     /// [`REFERENCE_TEMPERATURE_DEGC`] where the file is silent
     Temperature,
+    /// of the drive, 0 where it is that of the motor; the same for all units of a type
+    DriveConstant,
 }
 
 impl Bound {
     /// Whether units of one type may differ in it.
     const fn varies(self) -> bool {
-        !matches!(self, Self::PolePairs | Self::Step)
+        !matches!(self, Self::PolePairs | Self::Step | Self::DriveConstant)
     }
 
     /// What it is where the file is silent.
@@ -37,6 +39,7 @@ impl Bound {
         match self {
             Self::Efficiency => Some(1.0),
             Self::Temperature => Some(REFERENCE_TEMPERATURE_DEGC),
+            Self::DriveConstant => Some(0.0),
             _ => None,
         }
     }
@@ -50,7 +53,7 @@ impl Bound {
     fn allows(self, x: f64, electrical: f64) -> bool {
         match self {
             Self::AboveZero => x > 0.0,
-            Self::AtLeastZero => x >= 0.0,
+            Self::AtLeastZero | Self::DriveConstant => x >= 0.0,
             Self::Share => (0.0..=1.0).contains(&x),
             Self::Efficiency => x > 0.0 && x <= 1.0,
             Self::PolePairs => x.fract() == 0.0 && (1.0..=100.0).contains(&x),
@@ -63,7 +66,7 @@ impl Bound {
     fn allowed(self, electrical: f64) -> Cow<'static, str> {
         match self {
             Self::AboveZero => "a finite number above 0".into(),
-            Self::AtLeastZero => "a finite number of at least 0".into(),
+            Self::AtLeastZero | Self::DriveConstant => "a finite number of at least 0".into(),
             Self::Share => "0 to 1".into(),
             Self::Efficiency => "a number above 0 and at most 1".into(),
             Self::PolePairs => "a whole number from 1 to 100".into(),
@@ -81,6 +84,78 @@ struct Parameter {
     key: &'static str,
     unit: &'static str,
     bound: Bound,
+}
+
+/// How well the values of an actuator's file are known that were identified from measurements: standard deviations
+/// and correlations of a study.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Uncertainty {
+    /// keys as in the file, `motor.inertia_kg_m2`
+    pub parameters: Vec<String>,
+    /// relative standard deviations, in the order of the keys
+    pub deviation: Vec<f64>,
+    /// correlations, row by row
+    pub correlation: Vec<f64>,
+}
+
+impl Uncertainty {
+    /// Relative standard deviation of a key; `None` where nothing is said of it.
+    pub fn of(&self, key: &str) -> Option<f64> {
+        let i = self.parameters.iter().position(|p| p == key)?;
+        self.deviation.get(i).copied()
+    }
+
+    fn read(s: &mut Section) -> Result<Self> {
+        if !s.may_have("uncertainty") {
+            return Ok(Self::default());
+        }
+        let mut t = s.section("uncertainty")?;
+        let parameters = t.texts("parameters", "a list of keys, `motor.inertia_kg_m2`")?;
+        let numbers = |t: &mut Section, key: &str, least: f64, most: f64, n: usize| -> Result<Vec<f64>> {
+            let allowed = format!("{n} numbers from {least} to {most}");
+            let v = t.raw(key);
+            let all: Vec<f64> = match v.as_ref().and_then(|v| v.as_array()) {
+                Some(a) => a
+                    .iter()
+                    .filter_map(|v| v.as_float().or(v.as_integer().map(|i| i as f64)))
+                    .collect(),
+                None => Vec::new(),
+            };
+            if all.len() == n && all.iter().all(|x| (least..=most).contains(x)) {
+                return Ok(all);
+            }
+            Err(t.bad(key, v.map_or("nothing".into(), |v| v.to_string()), allowed))
+        };
+        let n = parameters.len();
+        let known = |key: &String| ALL.iter().any(|p| key.split_once('.') == Some((p.table, p.key)));
+        if let Some(key) = parameters.iter().find(|key| !known(key)) {
+            return Err(t.bad("parameters", key, "keys of the file, `motor.inertia_kg_m2`"));
+        }
+        let deviation = numbers(&mut t, "deviation_relative", 0.0, 10.0, n)?;
+        let correlation = numbers(&mut t, "correlation", -1.0, 1.0, n * n)?;
+        t.finish()?;
+        Ok(Self {
+            parameters,
+            deviation,
+            correlation,
+        })
+    }
+
+    /// Its table in a file; nothing where nothing is known.
+    pub fn to_toml(&self) -> String {
+        if self.parameters.is_empty() {
+            return String::new();
+        }
+        let keys: Vec<String> = self.parameters.iter().map(|k| quoted(k)).collect();
+        let numbers = |x: &[f64]| x.iter().map(|x| format!("{x:?}")).collect::<Vec<_>>().join(", ");
+        format!(
+            "\n# standard deviations of what was identified, relative, and their correlations row by row\n[uncertainty]\n\
+             parameters = [{}]\ndeviation_relative = [{}]\ncorrelation = [{}]\n",
+            keys.join(", "),
+            numbers(&self.deviation),
+            numbers(&self.correlation)
+        )
+    }
 }
 
 macro_rules! parameters {
@@ -101,6 +176,8 @@ macro_rules! parameters {
             pub assumed: Vec<String>,
             /// keys whose value was identified from measurements
             pub identified: Vec<String>,
+            /// how well what was identified is known
+            pub uncertainty: Uncertainty,
         }
 
         const ALL: &[Parameter] = &[$(Parameter {
@@ -121,6 +198,7 @@ macro_rules! parameters {
                     effects: Vec::new(),
                     assumed: Vec::new(),
                     identified: Vec::new(),
+                    uncertainty: Uncertainty::default(),
                 }
             }
 
@@ -178,6 +256,9 @@ parameters! {
     integrator_limit_n_m: f64, "controller" "integrator_limit_n_m" "N m" AtLeastZero;
     /// greatest current reference Imax
     current_limit_a: f64, "controller" "current_limit_a" "A" AboveZero;
+    /// torque of an ampere that the drive reckons with, by which it divides its torque demand; 0: twice the back-EMF
+    /// coefficient. A unit whose flux differs keeps that of its type
+    drive_constant_n_m_per_a: f64, "controller" "drive_constant_n_m_per_a" "N m/A" DriveConstant;
     /// half-band HB of the hysteresis current control
     hysteresis_half_band_a: f64, "controller" "hysteresis_half_band_a" "A" AboveZero;
     /// step dt of the numerical test bench
@@ -317,12 +398,14 @@ impl ActuatorParameters {
         }
         let plain = Self::of(values);
         let effects = effect::read(&mut s, plain.inertia_kg_m2)?;
+        let uncertainty = Uncertainty::read(&mut s)?;
         s.finish()?;
         Ok(Self {
             name,
             effects,
             assumed,
             identified,
+            uncertainty,
             ..plain
         })
     }
@@ -337,6 +420,9 @@ impl ActuatorParameters {
                 table = p.table;
                 out += &format!("\n[{table}]\n");
             }
+            if p.bound == Bound::DriveConstant && x == 0.0 {
+                continue;
+            }
             let has = |list: &[String]| list.iter().any(|k| k.split_once('.') == Some((p.table, p.key)));
             let source = match (has(&self.assumed), has(&self.identified)) {
                 (true, _) => ", source = \"assumed\"",
@@ -345,6 +431,7 @@ impl ActuatorParameters {
             };
             out += &format!("{} = {{ value = {x:?}, unit = \"{}\"{source} }}\n", p.key, p.unit);
         }
+        out += &self.uncertainty.to_toml();
         for e in &self.effects {
             out += &format!("\n{}", e.to_toml());
         }
@@ -356,16 +443,28 @@ impl ActuatorParameters {
         2.0 * self.back_emf_v_s_per_rad
     }
 
+    /// By which the drive divides its torque demand [N m/A].
+    pub fn drive_constant(&self) -> f64 {
+        if self.drive_constant_n_m_per_a > 0.0 {
+            self.drive_constant_n_m_per_a
+        } else {
+            self.torque_constant_n_m_per_a()
+        }
+    }
+
     /// Of every value, not of the name; an actuator without effects has the one that it had before
     /// effects were known.
     pub fn fingerprint(&self) -> String {
         // the temperature only where effects know it
         let values = ALL.iter().zip(self.all());
-        let values = values.filter(|(p, _)| p.bound != Bound::Temperature);
+        let values = values.filter(|(p, _)| !matches!(p.bound, Bound::Temperature | Bound::DriveConstant));
         let mut text = format!(
             "actuator;{}",
             values.map(|(_, x)| exact(x)).collect::<Vec<_>>().join(",")
         );
+        if self.drive_constant() != self.torque_constant_n_m_per_a() {
+            text += &format!(";drive,{}", exact(self.drive_constant_n_m_per_a));
+        }
         if !self.effects.is_empty() {
             text += &format!(";temperature,{}", exact(self.temperature_degc));
         }

@@ -158,6 +158,20 @@ impl Spread {
         }
     }
 
+    /// How far an actuator may be from what a study says of it: uniform distributions of the standard deviations that
+    /// stand in its file. `None` where it has none. What a test reads off friction goes with the dynamic level that
+    /// was identified.
+    pub fn identified(actuator: &ActuatorParameters) -> Option<Self> {
+        let of = |key: &str| actuator.uncertainty.of(key).map_or(0.0, |x| (3f64.sqrt() * x).min(0.5));
+        let mut spread = Self::none();
+        spread.name = "identified".into();
+        spread.half_width[Cause::Resistance as usize] = of("motor.phase_resistance_ohm");
+        spread.half_width[Cause::BackEmf as usize] = of("motor.back_emf_v_s_per_rad");
+        spread.half_width[Cause::Inertia as usize] = of("motor.inertia_kg_m2");
+        spread.half_width[Cause::DynamicRatio as usize] = of("friction.static_n_m");
+        (!spread.is_none()).then_some(spread)
+    }
+
     /// From a TOML file's table.
     ///
     /// # Errors

@@ -3,6 +3,8 @@
 //! - [`blind`]: "measured" data with a hidden effect, made by equations of its own
 //! - [`campaign`]: blind cases by the hundred, studied, scored and reported
 //! - [`coverage`]: what share of fresh simulated tests lies in its intervals
+//! - [`second`], [`independent`]: rigs and actuators of other hands: generators that know nothing of the study, written
+//!   from the words of its interface alone and kept as they were before their keys were opened
 //! - [`fleet`]: datasets made by workers that are killed, stopped and started again
 //! - [`s3`], [`slurm`]: a server and a cluster of our own, gone with the test
 //! - [`stream`]: processes on a stream of their own
@@ -16,7 +18,9 @@ pub mod blind;
 pub mod campaign;
 pub mod coverage;
 pub mod fleet;
+pub mod independent;
 pub mod s3;
+pub mod second;
 pub mod slurm;
 pub mod soak;
 pub mod stream;

@@ -4,14 +4,15 @@
 mod common;
 
 use common::process::run;
+use ema_study::REFERENCE;
+use ema_study::measured::bench::Bench;
+use ema_study::measured::recording::read_runs;
+use ema_study::search::fit::{Term, admissible};
+use ema_study::search::select::Material;
+use ema_study::search::study::{Outcome, study};
+use ema_study::told::findings::Findings;
 use ema_tests::blind::{self, Class, Forced, Setting, Spec};
-use pipeline::discrepancy::bench::Bench;
-use pipeline::discrepancy::findings::Findings;
-use pipeline::discrepancy::fit::admissible;
-use pipeline::discrepancy::recording::read_runs;
-use pipeline::discrepancy::select::Material;
-use pipeline::discrepancy::study::{Outcome, study};
-use pipeline::discrepancy::{REFERENCE, study_file, study_into};
+use pipeline::discrepancy::{Request, study_file, study_into};
 use sim_worker::effect::EffectKind;
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
@@ -42,11 +43,11 @@ fn hidden(dir: &Path, seed: u64, class: Class, forced: Vec<Forced>) -> PathBuf {
 }
 
 fn found(bench: &Path) -> Findings {
-    study_file(Path::new(REFERENCE), bench, &|_| {}).unwrap()
+    study_file(&Request::of(Path::new(REFERENCE), bench), &|_| {}).unwrap()
 }
 
 fn outcome(bench: &Path) -> Outcome {
-    let bench = Bench::read(bench, &ActuatorParameters::reference()).unwrap();
+    let bench = Bench::read(bench, Some(&ActuatorParameters::reference())).unwrap();
     let runs = read_runs(&bench).unwrap();
     study(Material::new(bench, runs, &[]), &|_| {})
 }
@@ -96,7 +97,11 @@ fn prop_with_the_written_model_a_fresh_study_says_none() {
     let stribeck = || Forced::new("stribeck", &[("torque", 0.012), ("speed", 25.0), ("exponent", 1.5)]).unwrap();
     let bench = hidden(dir.path(), 5, Class::One, vec![stribeck()]);
     let out = dir.path().join("study");
-    let w = study_into(Path::new(REFERENCE), &bench, &out, &|_| {}).unwrap();
+    let healthy = |model: &Path, bench: &Path| Request {
+        healthy: true,
+        ..Request::of(model, bench)
+    };
+    let w = study_into(&healthy(Path::new(REFERENCE), &bench), &out, &|_| {}).unwrap();
     assert_eq!(w.findings.verdict, "named", "{}", w.findings.sentence);
     let model = w.model.unwrap();
     let a = ActuatorParameters::read(&model).unwrap();
@@ -111,8 +116,12 @@ fn prop_with_the_written_model_a_fresh_study_says_none() {
     let swapped = swapped.replace("role = \"x\"", "role = \"fit\"");
     let fresh = bench.with_file_name("FRESH.toml");
     std::fs::write(&fresh, swapped).unwrap();
-    let f = study_file(&model, &fresh, &|_| {}).unwrap();
-    assert_eq!(f.verdict, "none", "{}", f.sentence);
+    let f = study_file(&healthy(&model, &fresh), &|_| {}).unwrap();
+    assert_eq!(
+        f.verdict, "none",
+        "{} {:?} {:?}",
+        f.sentence, f.retuned, w.findings.retuned
+    );
     for file in ["report.html", "report.json", "actuator.toml"] {
         assert!(out.join(file).exists());
     }
@@ -164,7 +173,9 @@ coulomb = { value = 0.021, unit = "N m", trust = 0.3 }
 time = { column = "t", unit = "s" }
 position = { column = "theta_m", unit = "rad" }
 velocity = { column = "omega_m", unit = "rad/s" }
-current = { column = "i_q", unit = "A", sampling = "mean" }
+i_a = { column = "i_a", unit = "A" }
+i_b = { column = "i_b", unit = "A" }
+i_c = { column = "i_c", unit = "A" }
 [[run]]
 file = "a.parquet"
 role = "fit"
@@ -229,8 +240,8 @@ fn prop_bad_benches_are_told_in_one_line_with_the_likely_cause() {
         })
     });
     assert!(nan.contains("fit1.csv"), "{nan}");
-    let jump = broken(&|i, l| (!(200..400).contains(&i)).then(|| l.to_string()));
-    assert!(jump.contains("clock") && jump.contains("jumped"), "{jump}");
+    let jump = broken(&|i, l| (i < 200 || i % 400 < 100).then(|| l.to_string()));
+    assert!(jump.contains("gaps that add up") && jump.contains("clock"), "{jump}");
     let still = broken(&|i, l| {
         let mut cells: Vec<&str> = l.split(',').collect();
         if i > 0 {
@@ -246,7 +257,13 @@ fn prop_bad_benches_are_told_in_one_line_with_the_likely_cause() {
 
 /// The one line with which a bench is refused.
 fn refused(bench: &Path) -> String {
-    let out = run(&["discrepancy", "--bench", bench.to_str().unwrap()]);
+    let out = run(&[
+        "discrepancy",
+        "--model",
+        "reference",
+        "--bench",
+        bench.to_str().unwrap(),
+    ]);
     let said = String::from_utf8_lossy(&out.stderr).into_owned();
     assert_eq!(out.status.code(), Some(4), "{said}");
     assert_eq!(said.trim().lines().count(), 1, "{said}");
@@ -263,7 +280,7 @@ fn prop_pitfall_an_amplitude_of_the_wrong_sign_is_no_effect() {
     let rise = Forced::new("lubricated_rise", &[("torque", 0.01), ("speed", 30.0)]).unwrap();
     let o = outcome(&hidden(dir.path(), 8, Class::One, vec![rise]));
     assert_eq!(o.model.terms[0].kind, EffectKind::LubricatedRise);
-    let signs = |t: &pipeline::discrepancy::fit::Term| admissible(t.kind, &t.amplitudes);
+    let signs = |t: &Term| admissible(t.kind, &t.amplitudes);
     assert!(o.steps.iter().flat_map(|s| &s.ranked).all(|r| signs(&r.term)));
 }
 
@@ -346,12 +363,8 @@ fn val_emps_two_effects_and_more_are_named() {
     if measured().is_none() {
         return;
     }
-    let f = study_file(
-        &datasets("parameters/emps.toml"),
-        &datasets("benches/emps.toml"),
-        &|_| {},
-    )
-    .unwrap();
+    let request = Request::of(&datasets("parameters/emps.toml"), &datasets("benches/emps.toml"));
+    let f = study_file(&request, &|_| {}).unwrap();
     let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
     assert!(names.len() >= 2, "{}", f.sentence);
     for wanted in ["viscous_asymmetry", "lubricated_rise", "control_delay"] {
@@ -377,7 +390,7 @@ fn val_cranfield_health_is_none_and_dry_screws_are_friction() {
     }
     let verdict = |state: &str| {
         let bench = datasets(&format!("benches/cranfield_{state}.toml"));
-        study_file(&datasets("parameters/screw_drive.toml"), &bench, &|_| {}).unwrap()
+        study_file(&Request::of(&datasets("parameters/screw_drive.toml"), &bench), &|_| {}).unwrap()
     };
     assert_eq!(verdict("normal").verdict, "none");
     let dry = verdict("lack_lubrication1");
@@ -388,4 +401,101 @@ fn val_cranfield_health_is_none_and_dry_screws_are_friction() {
         dry.retuned
     );
     assert_eq!(verdict("backlash1").verdict, "unknown");
+}
+
+#[test]
+fn prop_an_interrupted_clock_is_used_as_it_is_and_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let bench = hidden(dir.path(), 3, Class::Nothing, vec![]);
+    let csv = bench.with_file_name("fit1.csv");
+    let data = std::fs::read_to_string(&csv).unwrap();
+    let kept: Vec<&str> = data
+        .lines()
+        .enumerate()
+        .filter(|(i, _)| !(600..900).contains(i))
+        .map(|x| x.1)
+        .collect();
+    std::fs::write(&csv, kept.join("\n")).unwrap();
+    let f = found(&bench);
+    assert!(
+        ["none", "retune"].contains(&f.verdict.as_str()),
+        "{} {:#?}",
+        f.sentence,
+        f.by_channel
+    );
+    assert!(
+        f.assumptions.iter().any(|a| a.contains("1 gaps")),
+        "{:?}",
+        f.assumptions
+    );
+}
+
+#[test]
+fn prop_without_held_out_data_there_are_candidates_and_nothing_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let cogging = Forced::new("cogging", &[("amplitude", 0.006), ("order", 6.0), ("phase", 0.7)]).unwrap();
+    let bench = hidden(dir.path(), 1, Class::One, vec![cogging]);
+    let text = std::fs::read_to_string(&bench).unwrap();
+    std::fs::write(&bench, text.replace("role = \"heldout\"", "role = \"select\"")).unwrap();
+    let out = dir.path().join("study");
+    let request = Request {
+        healthy: true,
+        ..Request::of(Path::new(REFERENCE), &bench)
+    };
+    let w = study_into(&request, &out, &|_| {}).unwrap();
+    assert_eq!(w.findings.verdict, "candidate", "{}", w.findings.sentence);
+    assert!(w.model.is_none() && !out.join("actuator.toml").exists());
+    // the same rows cannot find and prove
+    let both =
+        text.replacen("role = \"heldout\"", "role = \"fit\"", 1) + "[[run]]\nfile = \"fit1.csv\"\nrole = \"heldout\"\n";
+    std::fs::write(&bench, both).unwrap();
+    assert!(refused(&bench).contains("do not overlap"));
+}
+
+#[test]
+fn prop_a_unit_of_unknown_health_is_told_in_fault_terms_and_never_becomes_the_type() {
+    let dir = tempfile::tempdir().unwrap();
+    let csv = dir.path().join("unit.csv");
+    let sequence = dir.path().join("long.toml");
+    let text = "name = \"long\"\n[[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = 0.45\n\
+                duration_s = 7.0\n";
+    std::fs::write(&sequence, text).unwrap();
+    let (sequence, csv) = (sequence.to_str().unwrap(), csv.to_str().unwrap());
+    let made = run(&[
+        "run",
+        "--fsj",
+        "3",
+        "--zeta",
+        "0.3",
+        "--rate",
+        "2000",
+        "--sensors",
+        "reference",
+        "--channels",
+        "all",
+        "--sequence",
+        sequence,
+        "--out",
+        csv,
+    ]);
+    assert!(made.status.success(), "{made:?}");
+    let out = dir.path().join("study");
+    let studied = run(&["discrepancy", "--bench", csv, "--out", out.to_str().unwrap(), "--json"]);
+    assert!(studied.status.success(), "{studied:?}");
+    let f: serde_json::Value = serde_json::from_slice(&studied.stdout).unwrap();
+    assert_eq!(f["health"], "unknown");
+    assert!(!out.join("actuator.toml").exists(), "a fault was written into the type");
+    let of = |name: &str| {
+        let all = f["findings"].as_array().unwrap();
+        all.iter()
+            .find(|x| x["name"] == name)
+            .unwrap_or_else(|| panic!("{name}: {f:#}"))["value"]
+            .as_f64()
+            .unwrap()
+    };
+    assert!((of("fsj") - 3.0).abs() < 0.1, "{}", of("fsj"));
+    assert!((of("zeta") - 0.3).abs() < 0.01, "{}", of("zeta"));
+    // what it says is next does not end in health
+    let next = f["next_command"].as_str().unwrap();
+    assert!(next.starts_with("ema diagnose") && !next.contains("study"), "{next}");
 }

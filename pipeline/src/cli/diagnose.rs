@@ -11,6 +11,7 @@ use diagnoser::diagnosis::{Outcome, parse_known};
 use diagnoser::map_library::Choice;
 use schemas::error::EXIT_LOSS;
 use schemas::fault::Interval;
+use sim_worker::spread::Spread;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -34,8 +35,9 @@ pub struct DiagnoseArgs {
     #[arg(long, default_value = "fine")]
     grid: String,
     /// Spread from unit to unit that the intervals allow for: none (the recording is of the very actuator
-    /// of the maps), fleet (all values assumed), or a TOML file
-    #[arg(long, default_value = "none")]
+    /// of the maps), fleet (all values assumed), a TOML file, or own: as well as the actuator's file says that it was
+    /// identified by a study, else none
+    #[arg(long, default_value = "own")]
     spread: String,
     /// What is known of the unit, KEY=NUMBER, of supply_voltage_v, winding_temperature_degc,
     /// phase_resistance_ohm, back_emf_v_s_per_rad, inertia_kg_m2, dynamic_ratio, rest_angle_rad; it narrows a spread
@@ -145,15 +147,22 @@ fn quoted(path: &std::path::Path) -> String {
 }
 
 pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
+    let actuator = a.actuator.named()?;
+    let spread = if a.spread == "own" {
+        let own = actuator.as_ref().and_then(|a| Spread::identified(a));
+        own.unwrap_or_else(Spread::none)
+    } else {
+        sim_worker::catalogue::spread(&a.spread)?
+    };
     let settings = Settings {
-        actuator: a.actuator.named()?,
+        actuator,
         maps: a.maps.clone(),
         run: a.run,
         sequence: a.recording.sequence.clone(),
         sensors: a.recording.sensors.clone(),
         grid: sim_worker::catalogue::grid(&a.grid)?,
         choice: Choice {
-            spread: sim_worker::catalogue::spread(&a.spread)?,
+            spread,
             coverage: a.coverage,
         },
         known: a.known.clone(),

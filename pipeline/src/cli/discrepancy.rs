@@ -1,8 +1,8 @@
 //! `ema discrepancy`.
 
 use super::say;
-use crate::discrepancy::findings::Findings;
-use crate::discrepancy::{study_file, study_into};
+use crate::Findings;
+use crate::discrepancy::{Request, study_file, study_into};
 use crate::progress;
 use anyhow::Result;
 use clap::Args;
@@ -11,12 +11,16 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct DiscrepancyArgs {
-    /// The actuator's parameters, a TOML file: what the simulation believes
-    #[arg(long, default_value = crate::discrepancy::REFERENCE)]
-    model: PathBuf,
-    /// What was measured: a bench file (datasets/benches/README.md), or a recording of telemetry
+    /// The actuator's parameters, a TOML file, or `reference`: what the simulation believes. A bench file does without
+    /// for a rig that is no actuator of ours; recordings of telemetry are then taken for the reference actuator's
     #[arg(long)]
-    bench: PathBuf,
+    model: Option<PathBuf>,
+    /// What was measured: a bench file (datasets/benches/README.md), or one or more recordings of telemetry
+    #[arg(long, required = true, num_args = 1.., value_name = "FILE")]
+    bench: Vec<PathBuf>,
+    /// The machine was healthy in all that was recorded: what is proven may be written into its model
+    #[arg(long)]
+    healthy: bool,
     /// Folder for report.html, report.json and actuator.toml; nothing is written if left out
     #[arg(long)]
     out: Option<PathBuf>,
@@ -28,13 +32,18 @@ pub struct DiscrepancyArgs {
 pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
     let bar = progress::spinner();
     let tell = |text: &str| bar.set_message(text.to_string());
+    let request = Request {
+        model: a.model.clone(),
+        bench: a.bench.clone(),
+        healthy: a.healthy,
+    };
     let (findings, written) = match &a.out {
         Some(out) => {
-            let w = study_into(&a.model, &a.bench, out, &tell)?;
+            let w = study_into(&request, out, &tell)?;
             let written = [w.report, Some(out.join("report.json")), w.model];
             (w.findings, written.into_iter().flatten().collect::<Vec<_>>())
         }
-        None => (study_file(&a.model, &a.bench, &tell)?, Vec::new()),
+        None => (study_file(&request, &tell)?, Vec::new()),
     };
     bar.finish_and_clear();
     if a.json {
@@ -73,6 +82,20 @@ fn to_text(f: &Findings) -> String {
         }
         if !e.ambiguous_with.is_empty() {
             t += &format!("  cannot be told from: {}\n", e.ambiguous_with.join(", "));
+        }
+    }
+    if !f.findings.is_empty() {
+        t += "\nof a unit whose health nobody vouches for\n";
+        for x in &f.findings {
+            t += &format!(
+                "  {:12} {:>12.5} {:8} 95 % {:.5} to {:.5}   {}\n",
+                x.name,
+                Short(x.value),
+                x.unit,
+                Short(x.lo),
+                Short(x.hi),
+                x.meaning
+            );
         }
     }
     if f.effects.is_empty() && f.verdict != "none" || !f.effects.is_empty() {

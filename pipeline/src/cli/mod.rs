@@ -87,9 +87,11 @@ enum Commands {
     Demo(demo::DemoArgs),
     /// Find where simulation and measurement disagree, name the missing effect, add it to the model
     #[command(
-        after_help = "Example: ema discrepancy --model datasets/parameters/reference.toml --bench BENCH.toml --out study\n\
+        after_help = "Example: ema discrepancy --model reference --bench run1.csv run2.csv --healthy --out study\n\
         (then open study/report.html; study/actuator.toml is the model with what was found)\n\
-        Verdicts: none, retune, named, named_with_remainder, ambiguous, unknown. How a bench file is written: \
+        Verdicts: none, retune, named, named_with_remainder, ambiguous, unknown, candidate (nothing was held out to \
+        prove it). Without --healthy, or health = \"healthy\" in the bench file, no model is written: friction and \
+        eccentricity are then told as findings of a unit. How a bench file is written: \
         datasets/benches/README.md."
     )]
     Discrepancy(discrepancy::DiscrepancyArgs),

@@ -206,7 +206,8 @@ fn one(options: &Options, plan: &Plan, case: u64, pool: &ThreadPool) -> Result<V
     let generate_s = start.elapsed().as_secs_f64();
     let start = Instant::now();
     let bench = dir.join("BENCH.toml");
-    let study = || pipeline::discrepancy::study_file(&model(), &bench, &|_| {});
+    let request = pipeline::discrepancy::Request::of(&model(), &bench);
+    let study = || pipeline::discrepancy::study_file(&request, &|_| {});
     let findings = catch_unwind(AssertUnwindSafe(|| pool.install(study)));
     let study_s = start.elapsed().as_secs_f64();
     if !options.keep {
@@ -248,7 +249,7 @@ fn kept(report: &Value) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pipeline::discrepancy::findings::{ChannelGap, Findings, FoundEffect, GapLine, Identified};
+    use ema_study::told::findings::{ChannelGap, Findings, FoundEffect, GapLine, Identified};
 
     #[test]
     fn what_is_kept_is_read_back() {
@@ -277,6 +278,8 @@ mod tests {
                 runner_up: None,
                 ambiguous_with: vec!["compliance".into()],
                 alias: None,
+                channel: "user_position".into(),
+                heldout: None,
             }],
             gap: Some(ChannelGap {
                 channel: "current".into(),

@@ -1,0 +1,183 @@
+//! A study from files to files.
+
+use crate::report_pages::discrepancy as page;
+use anyhow::Result;
+use ema_study::measured::bench::Bench;
+use ema_study::measured::{check, recording};
+use ema_study::search::compare;
+use ema_study::search::select::Material;
+use ema_study::search::study::{self, Verdict};
+use ema_study::told::findings::{Findings, FoundEffect};
+use ema_study::told::{next, persist, tell};
+use schemas::error::{Error, write_whole};
+use sim_worker::effect::{Effect, Note};
+use sim_worker::parameters::ActuatorParameters;
+use std::path::{Path, PathBuf};
+
+pub use ema_study::REFERENCE;
+
+/// What a study has written, and what it found.
+pub struct Written {
+    /// as in `report.json`
+    pub findings: Findings,
+    /// the actuator's file with what was found, where something was
+    pub model: Option<PathBuf>,
+    /// the page `report.html`
+    pub report: Option<PathBuf>,
+}
+
+/// What is studied.
+#[derive(Clone, Debug, Default)]
+pub struct Request {
+    /// the actuator's file, or [`REFERENCE`]; without one, a bench file speaks for itself, and recordings of our own
+    /// telemetry are taken for the reference actuator's
+    pub model: Option<PathBuf>,
+    /// one bench file, or recordings of telemetry
+    pub bench: Vec<PathBuf>,
+    /// all that is recorded is of a healthy machine
+    pub healthy: bool,
+}
+
+impl Request {
+    /// A bench file or a recording, against an actuator's file or [`REFERENCE`].
+    pub fn of(model: &Path, bench: &Path) -> Self {
+        Self {
+            model: Some(model.to_path_buf()),
+            bench: vec![bench.to_path_buf()],
+            healthy: false,
+        }
+    }
+}
+
+/// Studies the runs of a bench against an actuator's file.
+///
+/// # Errors
+/// Refuses files that cannot be read and measurements that no study can be made of, with file, place and what
+/// is allowed.
+pub fn study_file(request: &Request, tell: &dyn Fn(&str)) -> Result<Findings> {
+    Ok(studied(request, None, tell)?.findings)
+}
+
+/// As [`study_file`]; writes `report.json`, `report.html`, and where something was found on healthy machines and
+/// proven `actuator.toml`, into `out`.
+///
+/// # Errors
+/// As [`study_file`]; fails where `out` cannot be written.
+pub fn study_into(request: &Request, out: &Path, tell: &dyn Fn(&str)) -> Result<Written> {
+    studied(request, Some(out), tell)
+}
+
+fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> Result<Written> {
+    tell_user("reading");
+    let telemetry = request.bench.iter().any(|b| b.extension().is_none_or(|e| e != "toml"));
+    let model = match &request.model {
+        None if telemetry => Some(PathBuf::from(REFERENCE)),
+        m => m.clone(),
+    };
+    let read = |model: &PathBuf| -> Result<(String, String)> {
+        let text = if model == Path::new(REFERENCE) {
+            ActuatorParameters::reference_text().to_string()
+        } else {
+            std::fs::read_to_string(model).map_err(|e| Error::io(model, "cannot be read", e))?
+        };
+        Ok((model.display().to_string(), text))
+    };
+    let (name, text) = model.as_ref().map(read).transpose()?.unwrap_or_default();
+    let actuator = model
+        .as_ref()
+        .map(|_| ActuatorParameters::parse(&name, &text))
+        .transpose()?;
+    let bench = Bench::open(&request.bench, actuator.as_ref(), request.healthy)?;
+    let names: Vec<String> = request.bench.iter().map(|b| b.display().to_string()).collect();
+    let bench_file = names.join(" ");
+    let runs = recording::read_runs(&bench)?;
+    if let Some(dir) = out {
+        // say now, not after the study, that the folder cannot be written
+        std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
+    }
+    let mut findings;
+    let mut new_text = None;
+    if bench.is_comparison() {
+        findings = compare::compare(&bench, &runs);
+        findings.model = name.clone();
+    } else {
+        check::check(&bench, &runs)?;
+        let hashes: Vec<String> = {
+            let mut all: Vec<String> = runs.iter().map(|r| r.hash.clone()).collect();
+            all.dedup();
+            all
+        };
+        let with_current = bench.rig.drive == ema_study::measured::bench::BenchChannel::Current;
+        let known = actuator.as_ref().map(|a| a.effects.clone()).unwrap_or_default();
+        let outcome = study::study(Material::new(bench, runs, &known), tell_user);
+        tell_user("intervals and report");
+        findings = tell::findings(&outcome, &name);
+        if telemetry && request.model.is_none() {
+            let text = "no --model: the recordings are taken for the reference actuator's";
+            findings.assumptions.push(text.to_string());
+        }
+        // only what is proven on machines that somebody calls healthy may change what healthy means
+        let proven = outcome.material.held.is_some() && findings.health == "healthy";
+        if let Some(actuator) = actuator.as_ref().filter(|_| proven)
+            && !matches!(outcome.verdict, Verdict::None | Verdict::Unknown | Verdict::Candidate)
+        {
+            let source = format!("{bench_file}, data {}", hashes.join(" ")).replace('"', "'");
+            let source = source.chars().take(200).collect::<String>();
+            let parent = actuator.fingerprint();
+            let effects: Vec<Effect> = findings
+                .effects
+                .iter()
+                .filter_map(|e| persist::effect(e, &parent, &source, notes(e, &findings, &hashes)))
+                .collect();
+            let constants = persist::replaced(&findings.retuned, actuator, with_current);
+            // an actuator may not take all of a rig: a load heavier than its rotor, a delay beside another
+            match persist::written(&name, &text, &constants, &findings.correlation, &effects, &source) {
+                Ok(new) => {
+                    findings.diff = persist::diff(&text, &new);
+                    new_text = Some(new);
+                }
+                Err(e) => findings.assumptions.push(format!("not written into the model: {e}")),
+            }
+        }
+    }
+    let written_model = out.zip(new_text.as_ref()).map(|(dir, _)| dir.join("actuator.toml"));
+    let sequence = next::next(&mut findings, out, written_model.as_deref(), &bench_file);
+    let mut report = None;
+    if let Some(dir) = out {
+        if let (Some(path), Some(text)) = (&written_model, &new_text) {
+            write_whole(path, text.as_bytes())?;
+        }
+        if let Some((path, text)) = sequence {
+            write_whole(&path, text.as_bytes())?;
+        }
+        let json = serde_json::to_string_pretty(&findings.to_json())?;
+        write_whole(&dir.join("report.json"), format!("{json}\n").as_bytes())?;
+        report = Some(page::write(&findings, dir)?);
+    }
+    Ok(Written {
+        findings,
+        model: written_model,
+        report,
+    })
+}
+
+/// How an effect was identified, for its provenance.
+fn notes(e: &FoundEffect, f: &Findings, hashes: &[String]) -> Vec<(String, Note)> {
+    let mut notes = vec![
+        ("data".to_string(), Note::Text(hashes.join(" "))),
+        ("explained_share".to_string(), Note::Number(e.explained_share)),
+        (
+            "runner_up".to_string(),
+            Note::Text(e.runner_up.clone().unwrap_or_default()),
+        ),
+    ];
+    let score = f.leaders.iter().find(|l| l.name == e.name).map(|l| l.gain);
+    notes.extend(score.map(|s| ("score".to_string(), Note::Number(s))));
+    if let Some(g) = f.gap.as_ref().map(|g| g.heldout.unwrap_or(g.fit)) {
+        notes.push(("heldout_before".to_string(), Note::Number(g.retuned)));
+        notes.push(("heldout_after".to_string(), Note::Number(g.last)));
+        notes.push(("floor".to_string(), Note::Number(g.floor)));
+    }
+    notes.retain(|(_, n)| !matches!(n, Note::Number(x) if !x.is_finite()));
+    notes
+}

@@ -1,0 +1,703 @@
+//! The candidate effects driven by measured signals: for given shape parameters, what each would
+//! add to the equations. The equations themselves stand in `sim_worker::effect`.
+
+use crate::equations::signals::{Phases, SUPPLY, Signals, shifted};
+use sim_worker::effect::{self, Constants, Effect, EffectKind, Equation};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// A signal in an equation, to be filtered (0), or filtered and differentiated once or twice. Of the kinematic
+/// equation, 0 is what stands in the measured angle, 1 what stands in the measured speed.
+pub struct Piece {
+    pub equation: Equation,
+    pub order: usize,
+    pub signal: Vec<f64>,
+    /// of a phase alone, where the electrical equation is one of each phase
+    pub phase: Option<usize>,
+}
+
+/// What one amplitude multiplies.
+pub type Column = Vec<Piece>;
+
+/// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
+#[derive(Default)]
+pub struct Contribution {
+    pub fixed: Column,
+    pub linear: Vec<Column>,
+}
+
+/// Constants of the rig that the candidates refer to.
+#[derive(Clone, Copy, Debug)]
+pub struct RigConstants {
+    pub effect: Constants,
+    pub inertia: f64,
+    pub back_emf: f64,
+    pub supply_voltage: f64,
+    /// the drive channel is a measured current
+    pub measured_current: bool,
+    /// the drive channel goes through a motor, rather than being torque or force itself
+    pub motor: bool,
+    /// speed and acceleration come from the position
+    pub from_position: bool,
+    /// error of the angle sensor as far as it is known: amplitudes of sine and cosine [rad]
+    pub encoder: (f64, f64),
+    /// of the controller's law [drive unit per rad/s]
+    pub speed_gain: f64,
+}
+
+impl RigConstants {
+    /// The true angle, by fixed-point iteration.
+    fn true_angle(&self, measured: f64) -> f64 {
+        let (a, b) = self.encoder;
+        let mut t = measured;
+        if a != 0.0 || b != 0.0 {
+            for _ in 0..4 {
+                t = measured - (a * t.sin() + b * t.cos());
+            }
+        }
+        t
+    }
+}
+
+/// An amplitude at which saturation is linear in it [1/A].
+const SMALL: f64 = 1e-6;
+
+/// Which parameters of an effect are linear amplitudes, which are shape.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// the first parameter is an amplitude, the others shape
+    Amplitude,
+    /// amplitude and phase are two linear amplitudes, the order is shape
+    Periodic,
+    /// all parameters are shape
+    Shape,
+    /// stiffness from an amplitude and a distance
+    Presliding,
+    /// a temperature rise from the share of the measured one
+    Heating,
+}
+
+pub fn form(kind: EffectKind) -> Form {
+    match kind {
+        EffectKind::PeriodicFriction
+        | EffectKind::Cogging
+        | EffectKind::TorqueRipple
+        | EffectKind::Eccentricity
+        | EffectKind::EncoderEccentricity => Form::Periodic,
+        EffectKind::Compliance | EffectKind::Backlash | EffectKind::CommutationOffset | EffectKind::ControlDelay => {
+            Form::Shape
+        }
+        EffectKind::Presliding => Form::Presliding,
+        EffectKind::WindingHeating => Form::Heating,
+        _ => Form::Amplitude,
+    }
+}
+
+fn moments<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = effect::Signals> + 'a {
+    (0..s.n).map(move |k| effect::Signals {
+        theta: s.theta[k],
+        rest: s.rest,
+        omega: s.omega[k],
+        sign: s.sign[k],
+        current: s.drive[k],
+        current_rate: s.drive_rate[k],
+        load: s.load_level[k],
+        temperature: s
+            .temperature
+            .as_ref()
+            .map_or(effect::REFERENCE_TEMPERATURE_DEGC, |t| t[k]),
+        duty: s.voltage.as_ref().map_or(0.0, |v| v[k]) / s.supply.as_ref().map_or(c.supply_voltage, |v| v[k].max(1e-3)),
+    })
+}
+
+/// Points of a rotor turn at which steps of an effect are resolved.
+const POINTS: usize = 4096;
+
+/// Mean over each sample, in which the rotor turns on at its speed, of a share that depends on the
+/// angle alone: from the share's integral over a turn.
+fn mean_share(e: &Effect, s: &Signals, c: &RigConstants) -> Vec<f64> {
+    let step = TAU / POINTS as f64;
+    let mut sum = 0.0;
+    let mut integral = Vec::with_capacity(POINTS + 1);
+    integral.push(0.0);
+    for i in 0..POINTS {
+        let theta = (i as f64 + 0.5) * step;
+        let moment = effect::Signals {
+            theta,
+            ..Default::default()
+        };
+        sum += e.constant_share(&moment, &c.effect) * step;
+        integral.push(sum);
+    }
+    let until = |theta: f64| -> f64 {
+        let turns = (theta / TAU).floor();
+        let at = (theta / TAU - turns) * POINTS as f64;
+        let i = (at as usize).min(POINTS - 1);
+        turns * sum + integral[i] + (at - i as f64) * (integral[i + 1] - integral[i])
+    };
+    let half = 0.5 / s.rate_hz;
+    (0..s.n)
+        .map(|k| {
+            // never narrower than a point of the table
+            let reach = (s.omega[k] * half).abs().max(0.5 * step);
+            (until(s.theta[k] + reach) - until(s.theta[k] - reach)) / (2.0 * reach)
+        })
+        .collect()
+}
+
+/// Torque and voltage of an effect over a run, means over each sample.
+fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
+    let electrical = s.voltage.is_some() && c.measured_current;
+    let (torque, voltage): (Vec<f64>, Option<Vec<f64>>) = match e.kind {
+        // an order that is no whole number has no table over one turn
+        EffectKind::TorqueRipple => {
+            let both = moments(s, c).map(|m| e.shared(&m, &c.effect, e.constant_share(&m, &c.effect) * blur(e, &m, s)));
+            let (t, v) = both.unzip();
+            (t, electrical.then_some(v))
+        }
+        EffectKind::Eccentricity | EffectKind::TurnShort | EffectKind::CommutationOffset => {
+            let share = mean_share(e, s, c);
+            let (t, v) = moments(s, c)
+                .zip(share)
+                .map(|(m, share)| e.shared(&m, &c.effect, share))
+                .unzip();
+            (t, electrical.then_some(v))
+        }
+        _ => {
+            let torque = moments(s, c)
+                .map(|m| e.torque(&m, &c.effect) * blur(e, &m, s))
+                .collect();
+            let other = matches!(
+                e.kind,
+                EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::DeadTime | EffectKind::SupplySag
+            );
+            let voltage = (electrical && other).then(|| moments(s, c).map(|m| e.voltage(&m, &c.effect)).collect());
+            (torque, voltage)
+        }
+    };
+    let mut column = Vec::new();
+    if torque.iter().any(|x| *x != 0.0) {
+        column.push(Piece {
+            equation: Equation::Torque,
+            order: 0,
+            signal: torque,
+            phase: None,
+        });
+    }
+    if let Some(signal) = voltage {
+        column.push(Piece {
+            equation: Equation::Electrical,
+            order: 0,
+            signal,
+            phase: None,
+        });
+    }
+    column
+}
+
+/// What the mean over a sample leaves of a sine of the angle, at a steady speed.
+fn blur(e: &Effect, m: &effect::Signals, s: &Signals) -> f64 {
+    match e.kind {
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
+            let x = 0.5 * e.values[2] * m.omega / s.rate_hz;
+            if x.abs() > 1e-6 { x.sin() / x } else { 1.0 }
+        }
+        _ => 1.0,
+    }
+}
+
+/// `sin` and `cos` of the angle, times what an angle error does to each equation.
+fn encoder(s: &Signals, c: &RigConstants, f: fn(f64) -> f64) -> Column {
+    let error: Vec<f64> = s.theta.iter().map(|t| f(c.true_angle(*t))).collect();
+    let times = |g: f64| -> Vec<f64> { error.iter().map(|e| g * e).collect() };
+    let mut column = Vec::new();
+    let mut add = |equation, order, signal| {
+        column.push(Piece {
+            equation,
+            order,
+            signal,
+            phase: None,
+        })
+    };
+    add(Equation::Kinematic, 0, times(1.0));
+    if c.from_position && s.voltage.is_some() {
+        add(Equation::Electrical, 1, times(-c.back_emf));
+    }
+    if s.user.is_some() {
+        add(Equation::Transmission, 0, times(-1.0));
+    }
+    if s.velocity.is_some() && c.speed_gain > 0.0 {
+        // the law acts on the true speed, ours on that of the position
+        add(Equation::Controller, 2, times(c.speed_gain));
+    }
+    column
+}
+
+/// What the phases make of an effect that changes their constants: amplitudes' columns of torque and phase voltages.
+///
+/// * `share` of phase `q` at an angle, of its torque and back-EMF constant
+fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) -> f64) -> Column {
+    let ke = 0.5 * c.effect.torque_constant;
+    let mut torque = vec![0.0; s.n];
+    let mut column = Vec::new();
+    for q in 0..3 {
+        let shape = p.mean_over_support(s, q, |theta, trap| trap * share(q, theta));
+        for k in 0..s.n {
+            // what the phase gives is not asked of the drive
+            torque[k] -= ke * p.current[q][k] * shape[k];
+        }
+        if p.voltage.is_some() {
+            let whole = p.mean(s, |theta| {
+                effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64) * share(q, theta)
+            });
+            let signal = (0..s.n).map(|k| ke * s.omega[k] * whole[k]).collect();
+            column.push(Piece {
+                equation: Equation::Electrical,
+                order: 0,
+                signal,
+                phase: Some(q),
+            });
+        }
+    }
+    column.push(Piece {
+        equation: Equation::Torque,
+        order: 0,
+        signal: torque,
+        phase: None,
+    });
+    column
+}
+
+/// As [`contribution`], of effects that the phases tell apart; `None` for all others.
+fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants) -> Option<Vec<Column>> {
+    let p = s.phases.as_ref()?;
+    let voltages = |f: &dyn Fn(usize, usize) -> f64| -> Column {
+        (0..3)
+            .map(|q| Piece {
+                equation: Equation::Electrical,
+                order: 0,
+                signal: (0..s.n).map(|k| f(q, k)).collect(),
+                phase: Some(q),
+            })
+            .collect()
+    };
+    let (r, l, ke) = (
+        0.5 * c.effect.resistance,
+        0.5 * c.effect.inductance,
+        0.5 * c.effect.torque_constant,
+    );
+    Some(match kind {
+        EffectKind::Eccentricity => {
+            let at = |q: usize, theta: f64| theta + TAU / 3.0 * q as f64;
+            vec![
+                phased(s, p, c, |q, t| at(q, t).cos()),
+                phased(s, p, c, |q, t| -at(q, t).sin()),
+            ]
+        }
+        EffectKind::TorqueRipple => vec![
+            phased(s, p, c, |_, t| (shape[0] * t).cos()),
+            phased(s, p, c, |_, t| -(shape[0] * t).sin()),
+        ],
+        EffectKind::TurnShort => {
+            let short = shape[0] as usize;
+            let mut column = phased(s, p, c, |q, _| if q == short { -1.0 } else { 0.0 });
+            if p.voltage.is_some() {
+                for (order, factor) in [(0, -r), (1, -l)] {
+                    column.push(Piece {
+                        equation: Equation::Electrical,
+                        order,
+                        signal: p.current[short].iter().map(|i| factor * i).collect(),
+                        phase: Some(short),
+                    });
+                }
+            }
+            vec![column]
+        }
+        EffectKind::DeadTime if p.voltage.is_some() => {
+            // half of it in each of the two legs that conduct
+            vec![voltages(&|q, k| 0.5 * (p.current[q][k] / 0.05).tanh())]
+        }
+        EffectKind::SupplySag if p.supply.is_some() && p.voltage.is_some() => {
+            let (v, dc) = (p.voltage.as_ref()?, p.supply.as_ref()?);
+            let draw = |k: usize| (0..3).map(|q| v[q][k] * p.current[q][k]).sum::<f64>() / dc[k].max(1.0);
+            vec![vec![Piece {
+                equation: Equation::Electrical,
+                order: 0,
+                signal: (0..s.n).map(|k| -draw(k)).collect(),
+                phase: Some(SUPPLY),
+            }]]
+        }
+        EffectKind::WindingHeating if p.voltage.is_some() && s.temperature.is_none() => {
+            // a winding that is warm from the beginning on
+            vec![voltages(&|q, k| r * effect::COPPER_PER_K * p.current[q][k])]
+        }
+        EffectKind::CurrentGain if p.voltage.is_some() => {
+            let mut column = voltages(&|q, k| -r * p.current[q][k]);
+            column.push(Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: s.drive.iter().map(|i| c.effect.torque_constant * i).collect(),
+                phase: None,
+            });
+            vec![column]
+        }
+        EffectKind::CurrentOffset => {
+            let q = shape[0] as usize;
+            let mut column: Column = vec![Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: p.mean_over_support(s, q, |_, trap| ke * trap),
+                phase: None,
+            }];
+            if p.voltage.is_some() {
+                column.push(Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: vec![-r; s.n],
+                    phase: Some(q),
+                });
+            }
+            vec![column]
+        }
+        EffectKind::SupplySag | EffectKind::DeadTime | EffectKind::WindingHeating | EffectKind::CurrentGain => {
+            Vec::new()
+        }
+        // in currents that are measured there is nothing of the angle that they were commutated by
+        EffectKind::CommutationOffset => Vec::new(),
+        _ => return None,
+    })
+}
+
+/// What `kind` with the shape parameters `shape` would add; empty where the channels it needs are not there.
+pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants) -> Contribution {
+    let mut out = Contribution::default();
+    if let Some(linear) = of_phases(kind, shape, s, c) {
+        out.linear = linear;
+        return out;
+    }
+    let amplitude = |values: &[f64]| driven(&Effect::new(kind, values), s, c);
+    match kind {
+        EffectKind::TorqueSaturation
+        | EffectKind::TorqueRipple
+        | EffectKind::Eccentricity
+        | EffectKind::CommutationOffset
+        | EffectKind::TurnShort
+        | EffectKind::CurrentOffset
+        | EffectKind::CurrentGain
+            if !c.motor => {}
+        EffectKind::LoadDependentFriction if !s.has_load => {}
+        EffectKind::TemperatureDependentFriction if s.temperature.is_none() => {}
+        EffectKind::WindingHeating if s.temperature.is_none() => {
+            // amplitude 1: a kelvin at the end of a run, by time or by the losses
+            if s.voltage.is_some() && c.measured_current {
+                let mut sum = 0.0;
+                let mut warmth: Vec<f64> = (0..s.n)
+                    .map(|k| {
+                        sum += if shape[0] < 1.5 { 1.0 } else { s.drive[k] * s.drive[k] };
+                        sum
+                    })
+                    .collect();
+                warmth.iter_mut().for_each(|w| *w /= sum.max(1e-300));
+                let signal = (0..s.n).map(|k| c.effect.resistance * effect::COPPER_PER_K * warmth[k] * s.drive[k]);
+                out.linear.push(vec![Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: signal.collect(),
+                    phase: None,
+                }]);
+            }
+        }
+        EffectKind::WindingHeating => {
+            // amplitude 1: the winding is as much warmer than 20 degC as the sensor says
+            if s.voltage.is_some() {
+                let t = s.temperature.as_ref().expect("checked");
+                let signal = (0..s.n).map(|k| {
+                    let rise = t[k] - effect::REFERENCE_TEMPERATURE_DEGC;
+                    c.effect.resistance * effect::COPPER_PER_K * rise * s.drive[k]
+                });
+                out.linear.push(vec![Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: signal.collect(),
+                    phase: None,
+                }]);
+            }
+        }
+        EffectKind::EncoderEccentricity => {
+            // an angle sensor that is out of centre is seldom round either: twice a turn comes along
+            let forms: [fn(f64) -> f64; 4] = [f64::sin, f64::cos, |t| (2.0 * t).sin(), |t| (2.0 * t).cos()];
+            out.linear = forms.map(|f| encoder(s, c, f)).into();
+        }
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
+            out.linear = vec![
+                amplitude(&[1.0, 0.0, shape[0]]),
+                amplitude(&[1.0, -FRAC_PI_2, shape[0]]),
+            ];
+        }
+        EffectKind::Eccentricity => {
+            out.linear = vec![amplitude(&[1.0, 0.0]), amplitude(&[1.0, -FRAC_PI_2])];
+        }
+        EffectKind::CommutationOffset => {
+            // the angle that is measured is the one commutated by (0), or the true one (1)
+            let turned = Signals {
+                theta: s
+                    .theta
+                    .iter()
+                    .map(|t| t - (1.0 - shape[1]) * shape[0] / c.effect.pole_pairs)
+                    .collect(),
+                ..s.clone()
+            };
+            out.fixed = driven(&Effect::new(kind, &shape[..1]), &turned, c);
+        }
+        EffectKind::CurrentGain => {
+            // linear in g/(1+g); the torque that the model expects stands for that of the measured
+            // current, whose noise would fit itself
+            let torque = (0..s.n).map(|k| {
+                c.inertia * s.accel[k] + c.effect.viscous * s.omega[k] + c.effect.coulomb * s.sign[k] + s.load[k]
+            });
+            let mut column = vec![Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: torque.collect(),
+                phase: None,
+            }];
+            if s.voltage.is_some() && c.measured_current {
+                column.push(Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: s.drive.iter().map(|i| -c.effect.resistance * i).collect(),
+                    phase: None,
+                });
+                out.linear.push(column);
+            }
+        }
+        EffectKind::Presliding => {
+            let sliding = dahl(s, shape[0]);
+            let signal = sliding
+                .iter()
+                .zip(&s.sign)
+                .map(|(z, sign)| c.effect.coulomb * (z - sign));
+            out.linear.push(vec![Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: signal.collect(),
+                phase: None,
+            }]);
+            // damping of the bristles, whose deflection is `distance` at most
+            out.linear.push(vec![Piece {
+                equation: Equation::Torque,
+                order: 1,
+                signal: sliding.iter().map(|z| shape[0] * z).collect(),
+                phase: None,
+            }]);
+        }
+        EffectKind::Backlash => {
+            if s.user.is_some() {
+                let (followed, speed) = loose(s, 0.5 * shape[0], shape[1], shape[2]);
+                let signal = followed.iter().zip(&s.theta).map(|(u, t)| u - t);
+                out.fixed.push(Piece {
+                    equation: Equation::Transmission,
+                    order: 0,
+                    signal: signal.collect(),
+                    phase: None,
+                });
+                // what the motor feels of the load beyond a rigid shaft: its friction, its inertia
+                let turned = speed
+                    .iter()
+                    .zip(&s.sign)
+                    .map(|(w, sign)| if *w == 0.0 { -sign } else { w.signum() - sign });
+                let slower = speed.iter().zip(&s.omega).map(|(w, m)| w - m);
+                for (order, signal) in [(0, turned.collect()), (1, slower.collect())] {
+                    out.linear.push(vec![Piece {
+                        equation: Equation::Torque,
+                        order,
+                        signal,
+                        phase: None,
+                    }]);
+                }
+            }
+        }
+        // without a second sensor the noise of the motion would drive the column
+        EffectKind::Compliance if s.user.is_none() => {}
+        EffectKind::Compliance => {
+            // by what the user's sensor sees: what the motor feels of it is a fourth derivative of the angle
+            out.fixed.push(Piece {
+                equation: Equation::Transmission,
+                order: 0,
+                signal: two_mass(s, shape[0], shape[1], shape[2]),
+                phase: None,
+            });
+        }
+        EffectKind::TorqueSaturation => {
+            // linear while the torque still rises with the current
+            let mut column = amplitude(&[SMALL]);
+            column
+                .iter_mut()
+                .for_each(|p| p.signal.iter_mut().for_each(|x| *x /= SMALL));
+            out.linear.push(column);
+        }
+        EffectKind::SpringLoad => {
+            // where the spring is at ease is not known
+            out.linear.push(amplitude(&[1.0]));
+            out.linear.push(vec![Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: vec![1.0; s.n],
+                phase: None,
+            }]);
+        }
+        EffectKind::ControlDelay => {
+            let late = |x: &[f64]| shifted(x, -shape[0] * s.rate_hz);
+            if let Some((law, _)) = &s.law {
+                let signal = late(law).into_iter().zip(law).map(|(l, p)| l - p).collect();
+                out.fixed.push(Piece {
+                    equation: Equation::Controller,
+                    order: 1,
+                    signal,
+                    phase: None,
+                });
+            }
+            if !c.measured_current {
+                // what was demanded drives the motor later
+                let kt = c.effect.torque_constant;
+                let signal = late(&s.drive).into_iter().zip(&s.drive).map(|(l, p)| kt * (p - l));
+                out.fixed.push(Piece {
+                    equation: Equation::Torque,
+                    order: 0,
+                    signal: signal.collect(),
+                    phase: None,
+                });
+            }
+        }
+        _ => {
+            let mut values = vec![1.0];
+            values.extend_from_slice(shape);
+            let column = amplitude(&values);
+            if !column.is_empty() {
+                out.linear.push(column);
+            }
+        }
+    }
+    out.linear.retain(|c| !c.is_empty());
+    out
+}
+
+/// Dahl's bristle deflection over its greatest, driven by the measured motion; `distance` is the
+/// motor angle over which friction turns round [rad].
+fn dahl(s: &Signals, distance: f64) -> Vec<f64> {
+    let mut z: f64 = 0.0;
+    let dt = 1.0 / s.rate_hz;
+    s.omega
+        .iter()
+        .map(|w| {
+            let end = w.signum();
+            let before = z;
+            let x = w.abs() * dt / distance;
+            // exact for a constant speed over the sample; the mean over it
+            z = end + (z - end) * (-x).exp();
+            if x > 1e-9 {
+                end + (before - end) * -(-x).exp_m1() / x
+            } else {
+                z
+            }
+        })
+        .collect()
+}
+
+/// A load that the motor pushes through a gap of half-width `half`: its angle and speed. Let go, it is slowed down by its own friction; impacts are plastic.
+///
+/// * `slowing` friction of the load over its inertia [rad/s2]; without end it is the play operator
+/// * `per_inertia` one over its inertia: how much a load torque accelerates it [1/(kg m2)]
+fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64) -> (Vec<f64>, Vec<f64>) {
+    let dt = 1.0 / s.rate_hz;
+    let (mut x, mut w) = (s.theta[0], s.omega[0]);
+    let mut speed = Vec::with_capacity(s.n);
+    let followed = (0..s.n)
+        .map(|k| {
+            let before = w;
+            let push = -s.load[k] * per_inertia;
+            // friction stops it, and holds it while nothing stronger pushes
+            w += push * dt;
+            let brake = slowing * dt;
+            w = if w.abs() <= brake { 0.0 } else { w - brake * w.signum() };
+            x += 0.5 * (before + w) * dt;
+            let gap = s.theta[k] - x;
+            let pushed = gap.abs() >= half;
+            if pushed {
+                x = s.theta[k] - half * gap.signum();
+                // pushed along, unless it runs away by itself
+                let along = s.omega[k];
+                w = if gap > 0.0 { w.max(along) } else { w.min(along) };
+            }
+            speed.push(w);
+            x
+        })
+        .collect();
+    (followed, speed)
+}
+
+/// The load mass on its spring, driven by the motor's measured motion and the load torque: angle of the load less
+/// the motor's [rad].
+fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> Vec<f64> {
+    let natural = (stiffness / inertia.max(1e-12)).sqrt();
+    let substeps = (natural / s.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
+    let dt = 1.0 / (s.rate_hz * substeps as f64);
+    let (mut x, mut w) = (s.theta[0], s.omega[0]);
+    let mut deflection = Vec::with_capacity(s.n);
+    for k in 0..s.n {
+        let next = (k + 1).min(s.n - 1);
+        deflection.push(x - s.theta[k]);
+        for j in 0..substeps {
+            let share = (j as f64 + 0.5) / substeps as f64;
+            let theta = s.theta[k] + share * (s.theta[next] - s.theta[k]);
+            let omega = s.omega[k] + share * (s.omega[next] - s.omega[k]);
+            // implicit midpoint rule: no damping but the spring's own
+            let load = s.load[k] + share * (s.load[next] - s.load[k]);
+            let half = 0.5 * dt / inertia;
+            let push = stiffness * (theta - x) + damping * omega - load;
+            let middle = (w + half * push) / (1.0 + half * (0.5 * dt * stiffness + damping));
+            w = 2.0 * middle - w;
+            x += middle * dt;
+        }
+    }
+    deflection
+}
+
+/// The effect from shape parameters and fitted amplitudes.
+///
+/// * `coulomb`, `hottest` nominal dry friction [N m] and greatest measured rise over 20 degC [K]
+pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64, hottest: f64) -> Effect {
+    let a = |i: usize| amplitudes.get(i).copied().unwrap_or(0.0);
+    let values: Vec<f64> = match form(kind) {
+        Form::Amplitude if kind == EffectKind::CurrentGain => vec![a(0) / (1.0 - a(0))],
+        Form::Amplitude if kind == EffectKind::CurrentOffset => vec![a(0)],
+        Form::Amplitude => [&[a(0)], shape].concat(),
+        Form::Periodic if kind == EffectKind::EncoderEccentricity => vec![a(0).hypot(a(1)), a(1).atan2(a(0))],
+        Form::Periodic => [&[a(0).hypot(a(1)), (-a(1)).atan2(a(0))], shape].concat(),
+        Form::Shape => shape[..kind.keys().len()].to_vec(),
+        Form::Presliding => vec![a(0) * coulomb / shape[0], a(1).max(0.0)],
+        Form::Heating if shape.first().is_some_and(|s| *s > 0.5) => vec![a(0)],
+        Form::Heating => vec![a(0) * hottest],
+    };
+    Effect::new(kind, &values).wrapped()
+}
+
+/// Shape parameters and amplitudes of an effect: the way back.
+pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
+    let v = &e.values[..e.kind.keys().len()];
+    match form(e.kind) {
+        Form::Amplitude if e.kind == EffectKind::CurrentGain => (vec![], vec![v[0] / (1.0 + v[0])]),
+        Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
+        Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
+        Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
+        Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {
+            (vec![], vec![v[0] * v[1].cos(), v[0] * v[1].sin(), 0.0, 0.0])
+        }
+        Form::Periodic => (v[2..].to_vec(), vec![v[0] * v[1].cos(), -v[0] * v[1].sin()]),
+        Form::Shape if e.kind == EffectKind::Backlash => (vec![v[0], 1e6, 0.0], vec![0.0, 0.0]),
+        Form::Shape if e.kind == EffectKind::CommutationOffset => (vec![v[0], 1.0], vec![]),
+        Form::Shape => (v.to_vec(), vec![]),
+        Form::Presliding => (vec![coulomb / v[0]], vec![1.0, v[1]]),
+        Form::Heating if hottest <= 0.0 => (vec![1.0], vec![v[0]]),
+        Form::Heating => (vec![0.0], vec![v[0] / hottest.max(1e-9)]),
+    }
+}

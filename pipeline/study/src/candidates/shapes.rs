@@ -1,0 +1,165 @@
+//! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
+
+use crate::candidates::columns::RigConstants;
+use crate::equations::signals::Signals;
+use sim_worker::effect::EffectKind;
+use std::f64::consts::TAU;
+
+/// Shapes to start from for a kind, over the range of the signals of the fit runs.
+pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
+    let all = |f: fn(&Signals) -> &Vec<f64>| runs.iter().flat_map(move |r| f(r).iter().copied());
+    let (low, high) = all(|s| &s.theta).fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+    let fastest = all(|s| &s.omega).fold(0.0, |a: f64, x| a.max(x.abs()));
+    let stroke = high - low;
+    let log = |from: f64, to: f64, n: usize| -> Vec<f64> {
+        (0..n)
+            .map(|i| from * (to / from).powf(i as f64 / (n - 1) as f64))
+            .collect()
+    };
+    let one = |v: Vec<f64>| -> Vec<Vec<f64>> { v.into_iter().map(|x| vec![x]).collect() };
+    match kind {
+        // without an angle nothing goes with it
+        EffectKind::Eccentricity
+        | EffectKind::EncoderEccentricity
+        | EffectKind::SpringLoad
+        | EffectKind::ControlDelay
+        | EffectKind::TurnShort
+            if stroke == 0.0 =>
+        {
+            vec![]
+        }
+        EffectKind::Stribeck => {
+            let speeds = log(1e-3 * fastest, 0.4 * fastest, 9);
+            speeds.iter().flat_map(|&w| [1.0, 2.0].map(|d| vec![w, d])).collect()
+        }
+        EffectKind::LubricatedRise => one(log(1e-3 * fastest, 0.3 * fastest, 9)),
+        EffectKind::TightSpot if stroke > 0.0 => {
+            let mut out = Vec::new();
+            for width in [0.02, 0.05, 0.12] {
+                let n = (0.8 / width) as usize;
+                out.extend((0..=n).map(|i| vec![low + stroke * i as f64 / n as f64, width * stroke]));
+            }
+            out
+        }
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
+            // at least one whole period within the stroke
+            let orders = [0.5].into_iter().chain((1..=24).map(f64::from));
+            one(orders.filter(|n| n * stroke > 1.2 * TAU).collect())
+        }
+        EffectKind::Presliding if stroke > 0.0 => one(log(1e-5 * stroke.max(1.0), 0.05 * stroke, 9)),
+        EffectKind::CommutationOffset if stroke > 0.0 => {
+            let angles = [-0.7, -0.45, -0.25, -0.12, 0.12, 0.25, 0.45, 0.7];
+            angles.iter().flat_map(|&a| [0.0, 1.0].map(|f| vec![a, f])).collect()
+        }
+        EffectKind::Presliding | EffectKind::CommutationOffset | EffectKind::TightSpot | EffectKind::Compliance
+            if stroke == 0.0 =>
+        {
+            vec![]
+        }
+        EffectKind::Backlash => {
+            let free = 1.0 / (0.5 * c.inertia);
+            let gaps = log(1e-5 * stroke, 0.1 * stroke, 12);
+            let slow = [1e6, 3e3, 3e2];
+            gaps.iter()
+                .flat_map(|&g| slow.map(|d| vec![g, d, if d > 1e5 { 0.0 } else { free }]))
+                .collect()
+        }
+        EffectKind::Compliance => {
+            let rate = runs[0].rate_hz;
+            let mut out = Vec::new();
+            if let Some((k, j)) = deflected(runs) {
+                for share in [0.02, 0.1, 0.4] {
+                    out.push(vec![k, share * (k * j).sqrt(), j]);
+                }
+            }
+            for f in log(0.004 * rate, 0.12 * rate, 8) {
+                for share in [0.25, 0.6] {
+                    let j = share * c.inertia;
+                    let k = j * (TAU * f).powi(2);
+                    out.push(vec![k, 0.1 * (k * j).sqrt(), j]);
+                }
+            }
+            out
+        }
+        EffectKind::TurnShort => one(vec![0.0, 1.0, 2.0]),
+        EffectKind::CurrentOffset if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0, 2.0]),
+        EffectKind::CurrentOffset => one(vec![0.0]),
+        EffectKind::WindingHeating if runs.iter().all(|r| r.temperature.is_some()) => one(vec![0.0]),
+        EffectKind::WindingHeating => one(vec![1.0, 2.0]),
+        EffectKind::ControlDelay => one(log(0.2 / runs[0].rate_hz, 40.0 / runs[0].rate_hz, 10)),
+        _ => vec![vec![]],
+    }
+}
+
+/// Stiffness and load inertia from the measured deflection, as a spring without dynamics shows it.
+fn deflected(runs: &[Signals]) -> Option<(f64, f64)> {
+    let mut g = [[0.0; 2]; 2];
+    let mut r = [0.0; 2];
+    for s in runs {
+        let user = s.user.as_ref()?;
+        let smooth = |x: &[f64], k: usize| x[k - 4..=k + 4].iter().sum::<f64>() / 9.0;
+        let mean = (4..s.n - 4).map(|k| user[k] - s.position[k]).sum::<f64>() / (s.n - 8) as f64;
+        for k in 4..s.n - 4 {
+            let v = [smooth(&s.accel, k), smooth(&s.load, k)];
+            let y = mean - (user[k] - s.position[k]);
+            for i in 0..2 {
+                r[i] += v[i] * y;
+                for j in 0..2 {
+                    g[i][j] += v[i] * v[j];
+                }
+            }
+        }
+    }
+    let det = g[0][0] * g[1][1] - g[0][1] * g[1][0];
+    let (a, b) = if det > 1e-9 * g[0][0] * g[1][1] {
+        (
+            (r[0] * g[1][1] - r[1] * g[0][1]) / det,
+            (r[1] * g[0][0] - r[0] * g[0][1]) / det,
+        )
+    } else {
+        return None;
+    };
+    (a > 0.0 && b > 0.0).then(|| (1.0 / b, a / b))
+}
+
+/// Whether a shape parameter is refined on a logarithmic scale; `None` where it is not refined.
+pub fn scales(kind: EffectKind) -> &'static [Option<bool>] {
+    const LOG: Option<bool> = Some(true);
+    const LIN: Option<bool> = Some(false);
+    match kind {
+        EffectKind::Stribeck => &[LOG, LIN],
+        EffectKind::LubricatedRise | EffectKind::Presliding | EffectKind::ControlDelay => &[LOG],
+        EffectKind::Backlash => &[LOG, LOG, LIN],
+        EffectKind::TightSpot => &[LIN, LOG],
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
+        EffectKind::CommutationOffset => &[LIN, None],
+        EffectKind::Compliance => &[LOG, LOG, LOG],
+        EffectKind::TurnShort | EffectKind::WindingHeating | EffectKind::CurrentOffset => &[None],
+        _ => &[],
+    }
+}
+
+/// Physical limits of the shape parameters, over those of the effect's keys.
+pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
+    let fastest = runs.iter().flat_map(|r| &r.omega).fold(0.0, |a: f64, x| a.max(x.abs()));
+    let all = runs.iter().flat_map(|r| &r.theta);
+    let (low, high) = all.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    let stroke = high - low;
+    match kind {
+        EffectKind::Stribeck => vec![(1e-4 * fastest, 0.7 * fastest), (0.8, 2.2)],
+        EffectKind::LubricatedRise => vec![(1e-4 * fastest, 0.5 * fastest)],
+        EffectKind::TightSpot => vec![
+            (low - 0.05 * stroke, high + 0.05 * stroke),
+            (0.004 * stroke, 0.25 * stroke),
+        ],
+        EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke)],
+        EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1.0, 1e7), (0.0, 1e7)],
+        // beyond, a third of the torque is gone and the motor hardly runs
+        EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
+        EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
+        EffectKind::TurnShort | EffectKind::WindingHeating | EffectKind::CurrentOffset => vec![(0.0, 2.0)],
+        EffectKind::ControlDelay => vec![(1e-6, 0.5)],
+        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => vec![(0.1, 1000.0)],
+        _ => vec![],
+    }
+}

@@ -1,0 +1,4 @@
+pub mod filter;
+pub mod problem;
+pub mod signals;
+pub mod whitener;

@@ -1,0 +1,1031 @@
+//! The equations of a bench as rows of a least-squares problem: filtered, thinned out, masked where
+//! they do not hold, and divided by what the sensors' noise leaves in them.
+
+use crate::candidates::columns::{Column, Piece, RigConstants};
+use crate::equations::filter::FilterBank;
+use crate::equations::signals::{Clock, NoiseTable, SUPPLY, Signals};
+use crate::equations::whitener::{Design, Rows, Whitener};
+use crate::measured::bench::{Bench, BenchChannel, Known};
+use crate::measured::recording::Run;
+use sim_worker::effect::{self, Constants, Equation, Play};
+use std::ops::Range;
+
+/// Uncertainty of what is never perfect in sensors, one sigma (assumed): gain, offset over noise,
+/// clock between channels over the sample.
+const SENSOR_GAIN: f64 = 0.006;
+const SENSOR_OFFSET: f64 = 0.1;
+/// Offset of a current sensor over the range it saw, one sigma (assumed).
+const SENSOR_OFFSET_OF_RANGE: f64 = 0.002;
+const SENSOR_CLOCK: f64 = 0.15;
+/// Offset of a voltage over its noise, one sigma (assumed): amplifiers drift more than current sensors.
+const VOLTAGE_OFFSET: f64 = 0.4;
+/// Mains frequencies looked for [Hz].
+pub const MAINS_HZ: [f64; 3] = [50.0, 60.0, 400.0];
+
+/// A nuisance parameter of the whole study.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Nuisance {
+    pub name: &'static str,
+    /// one sigma of its relative deviation; `None` = free
+    pub trust: Option<f64>,
+    /// where the prior has its middle: 0, or elsewhere once the equations stand around a better value
+    pub centre: f64,
+    /// value that the deviation is relative to, SI at the motor
+    pub nominal: f64,
+    pub unit: &'static str,
+    /// a property of the machine rather than of its sensors
+    pub of_machine: bool,
+}
+
+/// Rows of one equation of one run.
+#[derive(Clone, Debug)]
+pub struct Block {
+    pub run: usize,
+    pub equation: Equation,
+    /// where its rows stand in the columns
+    pub rows: Range<usize>,
+    /// samples of the run they belong to
+    pub samples: Vec<usize>,
+    /// samples beyond `samples` that count as masked
+    pub masked: usize,
+}
+
+/// A set of runs as equations.
+pub struct Problem {
+    pub signals: Vec<Signals>,
+    pub names: Vec<String>,
+    pub blocks: Vec<Block>,
+    pub rows: usize,
+    /// left-hand side less the nominal model, SI
+    pub y: Vec<f64>,
+    /// drive torque in the rows of the torque equation, 0 elsewhere
+    pub drive: Vec<f64>,
+    /// columns of the nuisance parameters
+    pub base: Vec<Vec<f64>>,
+    /// columns of single runs: offsets of position and phase currents, mains hum; what each is believed to be at most,
+    /// one sigma in its own unit
+    pub local: Vec<Vec<f64>>,
+    pub local_trust: Vec<Option<f64>>,
+    /// rms of the sensors' noise by equation, in the order of [`Equation::ALL`]
+    pub floor: [f64; 5],
+    /// same without what the model is known not to have: the sensors' alone
+    pub sensor_floor: [f64; 5],
+    /// noise of the torque in the filter, rms [N m], and its share of the variance of a row
+    torque_noise: (f64, f64),
+    /// torque that the model is known not to have, rms [N m]
+    excess: f64,
+    /// rows that would be as good if their noise were independent, as a share, by equation
+    pub independent: [f64; 5],
+    /// share of a row's variance that the noise of the drive's sensor makes: it stands in regressors too
+    pub regressor_noise: [f64; 5],
+    /// variances of a row of the electrical equation that the current's noise makes, by resistance and inductance
+    current_noise: (f64, f64),
+    /// what the measured motion alone makes of the torque's rows: those of -J dw/dt
+    pub motion: Vec<f64>,
+    pub clock: Clock,
+    bank: FilterBank,
+    mechanics: Mechanics,
+    /// of the supply's rows, so that their noise is that of the phases'
+    supply_scale: f64,
+    /// samples of a row of the electrical equation
+    window: usize,
+}
+
+/// What a supply's voltage does by itself over a row [V] (assumed).
+const SUPPLY_NOISE_V: f64 = 0.02;
+/// Share of an angle sensor's grain that is always left of it (assumed).
+const STANDING_GRAIN: f64 = 0.25;
+/// Length of a row of the electrical equation [s], and its fewest samples (assumed): means over it leave little of
+/// the noise, and the current's change over it is known by its ends.
+const WINDOW_S: f64 = 0.006;
+const FEWEST_IN_WINDOW: usize = 8;
+
+/// Mean of a signal over the `window` samples that end at `k` (0), or its change over them a second (1).
+fn over(x: &[f64], order: usize, k: usize, window: usize, rate_hz: f64) -> f64 {
+    if order == 0 {
+        return x[k + 1 - window..=k].iter().sum::<f64>() / window as f64;
+    }
+    let end = |k: usize| 0.5 * (x[k] + x[(k + 1).min(x.len() - 1)]);
+    (end(k) - end(k - window)) * rate_hz / window as f64
+}
+
+/// How the rows of the torque equation are made.
+enum Mechanics {
+    /// samples are means at one speed each
+    Steady,
+    Moving(Box<Whitener>),
+}
+
+impl Mechanics {
+    fn rows(&self, torque: Option<&[f64]>, position: Option<&[f64]>, velocity: Option<&[f64]>, s: &Signals) -> Rows {
+        match self {
+            Self::Steady => [torque.map_or_else(|| vec![0.0; s.n], <[f64]>::to_vec), vec![0.0; s.n]],
+            Self::Moving(w) => w.rows(torque, position, velocity, &s.resting),
+        }
+    }
+
+    fn samples(&self, s: &Signals) -> Vec<usize> {
+        match self {
+            Self::Steady => (0..s.n).collect(),
+            Self::Moving(w) => w.samples(&s.resting),
+        }
+    }
+
+    fn group(&self) -> usize {
+        match self {
+            Self::Steady => 1,
+            Self::Moving(w) => w.group(),
+        }
+    }
+}
+
+/// Rows of all runs together beyond which samples are taken together.
+const MOST_ROWS: usize = 16_000;
+/// Share of the way that the torque makes in a sample by which the angle at its end is off (assumed).
+const UNEVEN: f64 = 0.02;
+/// Most samples in a grain of an angle sensor that count.
+const LONGEST_GRAIN: f64 = 30.0;
+/// No torque is known better than this share of its rms (assumed).
+const BEST_TORQUE: f64 = 2e-4;
+
+/// The filter of the mechanics, and the share of its torque noise that is the sensor's.
+///
+/// * `excess` torque that the model does not have, noise to what is still looked for; `between` what the drive does
+///   between its samples, rms [N m]
+fn mechanics(
+    bench: &Bench,
+    runs: &[&Run],
+    clock: &Clock,
+    noise: &NoiseTable,
+    (excess, between): (f64, f64),
+) -> (Mechanics, f64) {
+    use BenchChannel as C;
+    if clock.steady {
+        return (Mechanics::Steady, 0.0);
+    }
+    let rig = &bench.rig;
+    let has = |c: C| runs.iter().all(|r| r.channel(c).is_some());
+    // while an angle sensor stays within a grain its error is one error, not many
+    let held = |c: C| -> f64 {
+        let (Some(spec), false) = (bench.channel(c), has(C::Velocity) && c != C::Position) else {
+            return 1.0;
+        };
+        let white = noise.get(&c).map_or(0.0, |n| n.rms);
+        if spec.resolution <= 0.0 || white > 0.6 * spec.resolution {
+            return 1.0;
+        }
+        let (mut sum, mut count) = (0.0, 0.0);
+        for x in runs.iter().filter_map(|r| r.channel(c)) {
+            for w in x.windows(17).step_by(8) {
+                let step = (w[16] - w[0]).abs() / 16.0;
+                if step > 0.0 {
+                    sum += (spec.resolution / step).clamp(1.0, LONGEST_GRAIN);
+                    count += 1.0;
+                }
+            }
+        }
+        f64::sqrt(sum / f64::max(count, 1.0)).max(1.0)
+    };
+    let of = |c: C| {
+        let (rms, range) = (noise.get(&c).map_or(0.0, |n| n.slow_rms()), range(runs, c));
+        ((rms * held(c)).max(1e-7 * range).max(1e-15), clock.lateness(bench, c).1)
+    };
+    let sensor = rig.drive_constant.value.abs() * noise.get(&rig.drive).map_or(0.0, |n| n.slow_rms());
+    let load = noise.get(&C::Load).map_or(0.0, |n| n.slow_rms());
+    let (mut sum, mut count) = (0.0, 0.0);
+    for x in runs.iter().filter_map(|r| r.channel(rig.drive)) {
+        sum += x.iter().map(|u| u * u).sum::<f64>();
+        count += x.len() as f64;
+    }
+    let usual = rig.drive_constant.value.abs() * (sum / f64::max(count, 1.0)).sqrt();
+    let least = BEST_TORQUE * usual;
+    let total = (sensor * sensor + between * between + load * load + least * least + excess * excess)
+        .sqrt()
+        .max(1e-300);
+    let samples: usize = runs.iter().map(|r| r.samples).sum();
+    let dt = 1.0 / clock.rate_hz;
+    // within a sample the torque is not even: the angle at its end is known less well than its sensor is
+    let uneven = UNEVEN * dt * dt * usual / rig.inertia.value.max(1e-15);
+    let position = has(C::Position).then(|| {
+        let (rms, late) = of(C::Position);
+        (rms.hypot(uneven), late)
+    });
+    let design = Design {
+        dt,
+        inertia: rig.inertia.value.max(1e-15),
+        torque_noise: total,
+        lost_torque: usual,
+        position,
+        velocity: has(C::Velocity).then(|| of(C::Velocity)),
+        group: samples.div_ceil(MOST_ROWS),
+    };
+    (
+        Mechanics::Moving(Box::new(Whitener::new(design))),
+        (sensor / total).powi(2),
+    )
+}
+
+/// From the least to the greatest value of a channel.
+fn range(runs: &[&Run], c: BenchChannel) -> f64 {
+    let all = runs.iter().filter_map(|r| r.channel(c)).flatten();
+    let (low, high) = all.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    (high - low).max(0.0)
+}
+
+/// The rig's constants as the equations use them.
+pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
+    let rig = &bench.rig;
+    RigConstants {
+        effect: Constants {
+            torque_constant: rig.drive_constant.value,
+            coulomb: rig.coulomb.value,
+            viscous: rig.viscous.value,
+            resistance: rig.resistance.value,
+            inductance: rig.inductance.value,
+            pole_pairs: rig.pole_pairs,
+        },
+        inertia: rig.inertia.value,
+        back_emf: rig.back_emf.value,
+        supply_voltage: rig.supply_voltage,
+        measured_current: rig.drive == BenchChannel::Current,
+        motor: matches!(rig.drive, BenchChannel::Current | BenchChannel::Voltage),
+        from_position: clock.from_position,
+        encoder: (0.0, 0.0),
+        speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
+    }
+}
+
+/// The nuisance parameters of a bench: the machine's, then the sensors'.
+pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[Equation]) -> Vec<Nuisance> {
+    let rig = &bench.rig;
+    let machine = |name, k: &Known, unit| Nuisance {
+        name,
+        trust: k.trust,
+        centre: 0.0,
+        nominal: k.value,
+        unit,
+        of_machine: true,
+    };
+    let sensor = |name, sigma: f64, unit| Nuisance {
+        name,
+        trust: Some(sigma),
+        centre: 0.0,
+        nominal: 1.0,
+        unit,
+        of_machine: false,
+    };
+    let noise_of = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
+    let has = |e: Equation| equations.contains(&e);
+    let mut out = vec![
+        machine("inertia", &rig.inertia, "kg m2"),
+        machine("viscous", &rig.viscous, "N m s/rad"),
+        machine("coulomb", &rig.coulomb, "N m"),
+        machine("torque_constant", &rig.drive_constant, "N m/A"),
+    ];
+    if rig.offset != 0.0 {
+        let offset = Known {
+            value: rig.offset,
+            trust: None,
+        };
+        out.push(machine("offset", &offset, "N m"));
+    }
+    // a command that its drive follows late has an effect of its own for it, where the law is known
+    if rig.drive == BenchChannel::Current || rig.controller.is_none() {
+        out.push(sensor("drive_clock", SENSOR_CLOCK, "sample"));
+    }
+    let spec = bench.channel(rig.drive);
+    let offset = spec.and_then(|s| s.offset).unwrap_or_else(|| {
+        let of_range = SENSOR_OFFSET_OF_RANGE * range(&runs.iter().collect::<Vec<_>>(), rig.drive);
+        (SENSOR_OFFSET * noise_of(rig.drive)).max(of_range)
+    });
+    if offset > 0.0 && !runs.iter().any(|r| r.steady) {
+        out.push(sensor("drive_offset", offset, rig.drive.quantity().si()));
+    }
+    if has(Equation::Electrical) {
+        out.push(machine("resistance", &rig.resistance, "ohm"));
+        out.push(machine("inductance", &rig.inductance, "H"));
+        // gains of six sensors are as good as none: scale is what the machine's own constants say
+        let gain = if bench.has_phases() { 1e-4 } else { SENSOR_GAIN };
+        out.push(sensor("drive_gain", gain, "-"));
+        out.push(sensor(
+            "voltage_offset",
+            VOLTAGE_OFFSET * noise_of(BenchChannel::Voltage),
+            "V",
+        ));
+        out.push(sensor("voltage_gain", gain, "-"));
+        out.push(sensor("voltage_clock", SENSOR_CLOCK, "sample"));
+    }
+    if has(Equation::Transmission) && rig.play > 0.0 {
+        let play = Known {
+            value: rig.play,
+            trust: Some(1.0),
+        };
+        out.push(machine("play", &play, "rad"));
+    }
+    if has(Equation::Transmission) {
+        out.push(sensor("user_clock", SENSOR_CLOCK, "sample"));
+    }
+    if has(Equation::Kinematic) {
+        out.push(sensor("velocity_gain", SENSOR_GAIN, "-"));
+        out.push(sensor("velocity_offset", noise_of(BenchChannel::Velocity), "rad/s"));
+        out.push(sensor("velocity_clock", SENSOR_CLOCK, "sample"));
+    }
+    if has(Equation::Controller) {
+        out.push(sensor("law_gain", 0.05, "-"));
+        out.push(sensor("law_clock", 0.1, "sample"));
+    }
+    out
+}
+
+/// Which equations the channels of all runs open.
+pub fn equations(bench: &Bench, runs: &[Run]) -> Vec<Equation> {
+    let has = |c: BenchChannel| runs.iter().all(|r| r.channel(c).is_some());
+    let current = bench.rig.drive == BenchChannel::Current;
+    let mut out = vec![Equation::Torque];
+    let phases = bench.has_phases() && BenchChannel::VOLTAGES.iter().all(|c| has(*c));
+    if current && (has(BenchChannel::Voltage) || phases) {
+        out.push(Equation::Electrical);
+    }
+    if has(BenchChannel::Position) && has(BenchChannel::UserPosition) {
+        out.push(Equation::Transmission);
+    }
+    if has(BenchChannel::Position) && has(BenchChannel::Velocity) {
+        out.push(Equation::Kinematic);
+    }
+    if bench.rig.controller.is_some() && has(BenchChannel::Command) && current {
+        out.push(Equation::Controller);
+    }
+    out
+}
+
+impl Problem {
+    /// * `runs` those of one role
+    /// * `all` those that decide how samples are taken together and what noise there is
+    /// * `excess` torque that the model is known not to have, and what the drive does between samples, rms [N m]
+    #[allow(clippy::too_many_arguments)]
+    pub fn new(
+        bench: &Bench,
+        runs: &[&Run],
+        all: &[&Run],
+        clock: &Clock,
+        noise: &NoiseTable,
+        equations: &[Equation],
+        nuisances: &[Nuisance],
+        excess: (f64, f64),
+    ) -> Self {
+        let signals: Vec<Signals> = runs.iter().map(|r| Signals::new(bench, r, clock)).collect();
+        let bank = clock.common();
+        let reach = bank.half();
+        // the kernel has given up all weight that matters within half its reach
+        let close = reach / 2;
+        let window = ((WINDOW_S * clock.rate_hz).round() as usize).max(FEWEST_IN_WINDOW);
+        let (mechanics, sensed) = mechanics(bench, all, clock, noise, excess);
+        let mut blocks = Vec::new();
+        let mut rows = 0;
+        for (r, s) in signals.iter().enumerate() {
+            for &equation in equations {
+                let moving = matches!(equation, Equation::Torque | Equation::Kinematic);
+                let every: Vec<usize> = if moving {
+                    Vec::new()
+                } else if equation == Equation::Electrical {
+                    (window..s.n.saturating_sub(1)).step_by(window).collect()
+                } else {
+                    (reach..s.n.saturating_sub(reach)).step_by(clock.stride).collect()
+                };
+                let bad = match equation {
+                    Equation::Controller => s.law.as_ref().map(|l| &l.1[..]),
+                    _ => None,
+                };
+                let away = |b: &[bool], k: usize| !b[k - close..=k + close].iter().any(|b| *b);
+                let clean = |k: &usize| {
+                    if equation == Equation::Electrical {
+                        let of = |b: &[bool]| b.iter().skip(*k - window).take(window + 2).any(|b| *b);
+                        return !of(&s.lost) && !of(&s.stepping);
+                    }
+                    bad.is_none_or(|b| away(b, *k)) && (s.lost.is_empty() || away(&s.lost, *k))
+                };
+                let (samples, possible) = if moving {
+                    (mechanics.samples(s), s.n / mechanics.group())
+                } else {
+                    (every.iter().copied().filter(clean).collect::<Vec<_>>(), every.len())
+                };
+                // three phases and the supply: rows of one window follow each other
+                let samples = match (&s.phases, equation) {
+                    (Some(p), Equation::Electrical) => {
+                        let each = 3 + usize::from(p.supply.is_some());
+                        samples.iter().flat_map(|&k| std::iter::repeat_n(k, each)).collect()
+                    }
+                    _ => samples,
+                };
+                let n = samples.len();
+                blocks.push(Block {
+                    run: r,
+                    equation,
+                    rows: rows..rows + n,
+                    masked: possible.saturating_sub(n),
+                    samples,
+                });
+                rows += n;
+            }
+        }
+        let rho: Vec<f64> = (1..12).map(|j| autocorrelation(&bank, j * clock.stride)).collect();
+        let filtered = 1.0 / (1.0 + 2.0 * rho.iter().map(|r| r * r).sum::<f64>());
+        let mut floor = floors(bench, clock, noise, &bank, window);
+        let mut sensor_floor = floor;
+        let mut torque_noise = (0.0, 0.0);
+        let mut independent = [filtered; 5];
+        independent[Equation::Electrical.index()] = 1.0;
+        let mut regressor_noise = [0.0; 5];
+        if let Mechanics::Moving(w) = &mechanics {
+            for (e, i) in [(Equation::Torque, 0), (Equation::Kinematic, 1)] {
+                floor[e.index()] = w.floor();
+                let share = w.torque_share()[i];
+                let of_excess = share * (excess.0 / w.torque_noise()).powi(2);
+                sensor_floor[e.index()] = w.floor() * (1.0 - of_excess).max(1e-6).sqrt();
+                if i == 0 {
+                    torque_noise = (w.torque_noise(), share);
+                }
+                independent[e.index()] = 1.0;
+                regressor_noise[e.index()] = sensed * w.torque_share()[i];
+            }
+        }
+        let mut p = Self {
+            names: runs.iter().map(|r| r.name.clone()).collect(),
+            blocks,
+            rows,
+            y: vec![0.0; rows],
+            drive: vec![0.0; rows],
+            base: Vec::new(),
+            local: Vec::new(),
+            local_trust: Vec::new(),
+            floor,
+            sensor_floor,
+            torque_noise,
+            excess: excess.0,
+            independent,
+            regressor_noise,
+            current_noise: {
+                let rms = noise.get(&bench.rig.drive).map_or(0.0, |n| n.rms);
+                let (samples, seconds) = (window as f64, window as f64 / clock.rate_hz);
+                // of one phase, or of two in series
+                let of = if bench.has_phases() { 0.5 } else { 1.0 };
+                let rms = if bench.has_phases() { 2f64.sqrt() * rms } else { rms };
+                let (r, l) = (of * bench.rig.resistance.value, of * bench.rig.inductance.value);
+                ((r * rms).powi(2) / samples, (l * rms / seconds).powi(2))
+            },
+            motion: vec![0.0; rows],
+            clock: clock.clone(),
+            bank,
+            mechanics,
+            window,
+            supply_scale: floor[Equation::Electrical.index()] / SUPPLY_NOISE_V,
+            signals,
+        };
+        p.fill(bench, runs, nuisances);
+        p
+    }
+
+    /// Left-hand sides and nuisance columns.
+    fn fill(&mut self, bench: &Bench, runs: &[&Run], nuisances: &[Nuisance]) {
+        use BenchChannel as C;
+        let rig = &bench.rig;
+        let (kt, b0, tc) = (rig.drive_constant.value, rig.viscous.value, rig.coulomb.value);
+        let (r0, l0, ke) = (rig.resistance.value, rig.inductance.value, rig.back_emf.value);
+        let dt = 1.0 / self.clock.rate_hz;
+        let mut base = vec![vec![0.0; self.rows]; nuisances.len()];
+        let mut y = vec![0.0; self.rows];
+        let mut offsets = Vec::new();
+        let mut supplies = Vec::new();
+        let mut drive = vec![0.0; self.rows];
+        let mut motion = vec![0.0; self.rows];
+        let wide = |x: f64| if x > 0.0 { x } else { 1.0 };
+        let place = |name: &str| nuisances.iter().position(|n| n.name == name);
+        for (r, (s, run)) in self.signals.iter().zip(runs).enumerate() {
+            let of = |e: Equation| self.blocks.iter().find(|b| b.run == r && b.equation == e);
+            let targets = [of(Equation::Torque), of(Equation::Kinematic)];
+            let put = |out: &mut [f64], rows: &Rows, factor: f64| {
+                for (block, values) in targets.iter().zip(rows) {
+                    let Some(b) = block else { continue };
+                    out[b.rows.clone()]
+                        .iter_mut()
+                        .zip(values)
+                        .for_each(|(o, v)| *o = factor * v);
+                }
+            };
+            let torque = |t: &[f64]| self.mechanics.rows(Some(t), None, None, s);
+            let speed_of = |v: &[f64]| self.mechanics.rows(None, None, Some(v), s);
+            let at = |c: C| run.channel(c).map(|x| moved(x, self.clock.lateness(bench, c).0));
+            let (position, velocity) = (at(C::Position), at(C::Velocity));
+            let each = |f: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..s.n).map(f).collect() };
+            let net = each(&|k| kt * s.drive[k] - s.load[k] - b0 * s.omega[k] - tc * s.sign[k] - rig.offset);
+            let seen = self.mechanics.rows(None, position.as_deref(), velocity.as_deref(), s);
+            let expected = torque(&net);
+            put(&mut motion, &seen, 1.0);
+            put(&mut y, &expected, 1.0);
+            if !self.clock.steady {
+                for b in targets.into_iter().flatten() {
+                    for row in b.rows.clone() {
+                        y[row] += motion[row];
+                    }
+                }
+            }
+            let push = torque(&each(&|k| kt * s.drive[k]));
+            put(&mut drive, &push, 1.0);
+            let mut column = |name: &str, rows: &dyn Fn() -> Rows, factor: f64| {
+                if let Some(c) = place(name) {
+                    put(&mut base[c], &rows(), factor);
+                }
+            };
+            if !self.clock.steady {
+                // the torque that is left to it stands for J dw/dt, whose noise would shrink it
+                column("inertia", &|| expected.clone(), 1.0);
+            }
+            column("viscous", &|| torque(&each(&|k| wide(b0) * s.omega[k])), 1.0);
+            column("coulomb", &|| torque(&each(&|k| wide(tc) * s.sign[k])), 1.0);
+            column("torque_constant", &|| push.clone(), -1.0);
+            column("drive_gain", &|| push.clone(), -1.0);
+            column("offset", &|| torque(&vec![rig.offset; s.n]), 1.0);
+            column("drive_offset", &|| torque(&vec![kt; s.n]), 1.0);
+            column("drive_clock", &|| torque(&each(&|k| kt * dt * s.drive_rate[k])), 1.0);
+            if velocity.is_some() && position.is_some() {
+                column("velocity_gain", &|| speed_of(&s.omega), 1.0);
+                column("velocity_offset", &|| speed_of(&vec![1.0; s.n]), 1.0);
+                column("velocity_clock", &|| speed_of(&each(&|k| dt * s.accel[k])), 1.0);
+            }
+        }
+        for block in &self.blocks {
+            let (s, run) = (&self.signals[block.run], runs[block.run]);
+            let bank = |c: C| self.clock.bank(bench, c);
+            let raw = |c: C, order: usize| -> Vec<f64> {
+                match run.channel(c) {
+                    Some(x) => {
+                        let b = bank(c);
+                        block.samples.iter().map(|&k| within(&b, order, x, k)).collect()
+                    }
+                    None => vec![0.0; block.samples.len()],
+                }
+            };
+            let common = |order: usize, x: &[f64]| -> Vec<f64> {
+                block.samples.iter().map(|&k| self.bank.order[order].at(x, k)).collect()
+            };
+            let mut column = |name: &str, values: &dyn Fn(usize) -> f64| {
+                if let Some(c) = place(name) {
+                    for (i, row) in block.rows.clone().enumerate() {
+                        base[c][row] = values(i);
+                    }
+                }
+            };
+            let y = &mut y[block.rows.clone()];
+            match block.equation {
+                Equation::Torque | Equation::Kinematic => {}
+                Equation::Electrical if s.phases.is_some() => {
+                    let p = s.phases.as_ref().expect("checked");
+                    let each = 3 + usize::from(p.supply.is_some());
+                    let (r, l, ke) = (0.5 * r0, 0.5 * l0, 0.5 * ke);
+                    let volts = p.voltage.as_ref().expect("the equation is open");
+                    let over = |x: &[f64], order: usize, k: usize| over(x, order, k, self.window, s.rate_hz);
+                    let flux: [Vec<f64>; 3] = std::array::from_fn(|q| {
+                        let turn = std::f64::consts::TAU / 3.0 * q as f64;
+                        let shape = p.mean(s, |theta| effect::shape(p.pole_pairs * theta - turn));
+                        shape.iter().zip(&s.omega).map(|(f, w)| f * w).collect()
+                    });
+                    let mut columns = [vec![0.0; y.len()], vec![0.0; y.len()], vec![0.0; y.len()]];
+                    for (i, &k) in block.samples.iter().enumerate() {
+                        let q = i % each;
+                        if q == SUPPLY {
+                            let v_dc = p.supply.as_ref().expect("it is one of each");
+                            y[i] = self.supply_scale * (over(v_dc, 0, k) - rig.supply_voltage);
+                            continue;
+                        }
+                        let of = [
+                            r * over(&p.current[q], 0, k),
+                            l * over(&p.current[q], 1, k),
+                            ke * over(&flux[q], 0, k),
+                        ];
+                        y[i] = over(&volts[q], 0, k) - of.iter().sum::<f64>();
+                        columns.iter_mut().zip(of).for_each(|(c, x)| c[i] = x);
+                    }
+                    column("resistance", &|i| columns[0][i]);
+                    column("inductance", &|i| columns[1][i]);
+                    column("torque_constant", &|i| columns[2][i]);
+                    column("voltage_gain", &|i| columns[0][i] + columns[1][i] + columns[2][i]);
+                    column("drive_gain", &|i| columns[0][i]);
+                    if each > 3 {
+                        supplies.push((block.rows.clone(), each));
+                    }
+                }
+                Equation::Electrical => {
+                    let mean = |x: &[f64], order: usize| -> Vec<f64> {
+                        block
+                            .samples
+                            .iter()
+                            .map(|&k| over(x, order, k, self.window, s.rate_hz))
+                            .collect()
+                    };
+                    let volts = s.voltage.as_ref().expect("the equation is open");
+                    let (v, i_, di, w) = (mean(volts, 0), mean(&s.drive, 0), mean(&s.drive, 1), mean(&s.omega, 0));
+                    let dv = mean(volts, 1);
+                    for i in 0..y.len() {
+                        y[i] = v[i] - (r0 * i_[i] + l0 * di[i] + ke * w[i]);
+                    }
+                    column("resistance", &|i| r0 * i_[i]);
+                    column("inductance", &|i| wide(l0) * di[i]);
+                    column("torque_constant", &|i| ke * w[i]);
+                    column("back_emf", &|i| ke * w[i]);
+                    column("voltage_offset", &|_| 1.0);
+                    column("voltage_gain", &|i| r0 * i_[i] + l0 * di[i] + ke * w[i]);
+                    column("voltage_clock", &|i| dv[i] * dt);
+                    column("drive_offset", &|_| -r0);
+                    column("drive_gain", &|i| r0 * i_[i]);
+                }
+                Equation::Transmission => {
+                    let (u, t) = (raw(C::UserPosition, 0), raw(C::Position, 0));
+                    let followed = played(s, rig.play);
+                    let lag: Vec<f64> = followed.iter().zip(&s.theta).map(|(f, t)| f - t).collect();
+                    let lag = common(0, &lag);
+                    for i in 0..y.len() {
+                        y[i] = u[i] - t[i] - lag[i];
+                    }
+                    column("play", &|i| lag[i]);
+                    let speed = common(0, &s.omega);
+                    column("user_clock", &|i| speed[i] * dt);
+                    offsets.push(block.rows.clone());
+                }
+                Equation::Controller => {
+                    let law = &s.law.as_ref().expect("the equation is open").0;
+                    let (u, l) = (raw(rig.drive, 1), common(1, law));
+                    // of the law, not of the drive: a regressand that explains itself shrinks
+                    let ll = common(2, law);
+                    for i in 0..y.len() {
+                        y[i] = u[i] - l[i];
+                    }
+                    column("law_gain", &|i| l[i]);
+                    column("law_clock", &|i| ll[i] * dt);
+                }
+            }
+        }
+        self.motion = motion;
+        self.y = y;
+        self.drive = drive;
+        self.base = base;
+        for rows in offsets {
+            let mut c = vec![0.0; self.rows];
+            c[rows].fill(1.0);
+            self.add_local(c, None);
+        }
+        for (rows, each) in supplies {
+            // the supply's own voltage
+            let mut c = vec![0.0; self.rows];
+            rows.skip(SUPPLY)
+                .step_by(each)
+                .for_each(|row| c[row] = self.supply_scale);
+            self.add_local(c, None);
+        }
+        self.add_phase_offsets(bench, runs);
+    }
+
+    fn add_local(&mut self, column: Vec<f64>, trust: Option<f64>) {
+        self.local.push(column);
+        self.local_trust.push(trust);
+    }
+
+    /// Offsets of the phases' sensors, of each file its own.
+    fn add_phase_offsets(&mut self, bench: &Bench, runs: &[&Run]) {
+        let Some(trust) = bench.channel(BenchChannel::CurrentA).map(|c| {
+            let of_range = SENSOR_OFFSET_OF_RANGE * range(runs, BenchChannel::CurrentA);
+            c.offset.unwrap_or(of_range)
+        }) else {
+            return;
+        };
+        let (r, ke) = (0.5 * bench.rig.resistance.value, 0.5 * bench.rig.drive_constant.value);
+        let mut files: Vec<&str> = runs.iter().map(|r| r.hash.as_str()).collect();
+        files.sort_unstable();
+        files.dedup();
+        for file in files {
+            for q in 0..3 {
+                let pieces: Vec<Column> = self
+                    .signals
+                    .iter()
+                    .zip(runs)
+                    .map(|(s, run)| {
+                        let Some(p) = s.phases.as_ref().filter(|_| run.hash == file) else {
+                            return Column::new();
+                        };
+                        let piece = |equation, signal, phase| Piece {
+                            equation,
+                            order: 0,
+                            signal,
+                            phase,
+                        };
+                        vec![
+                            piece(Equation::Torque, p.mean_over_support(s, q, |_, trap| ke * trap), None),
+                            piece(Equation::Electrical, vec![-r; s.n], Some(q)),
+                        ]
+                    })
+                    .collect();
+                let column = self.column(&pieces);
+                self.add_local(column, Some(trust));
+            }
+        }
+    }
+
+    /// A column of an effect over all rows: its pieces for each run.
+    pub fn column(&self, pieces: &[Column]) -> Vec<f64> {
+        let mut out = vec![0.0; self.rows];
+        let rate = self.clock.rate_hz;
+        for (r, (s, pieces)) in self.signals.iter().zip(pieces).enumerate() {
+            let sum = |equation: Equation, order: usize| -> Option<Vec<f64>> {
+                let mut all = pieces.iter().filter(|p| p.equation == equation && p.order == order);
+                let mut sum = all.next()?.signal.clone();
+                all.for_each(|p| sum.iter_mut().zip(&p.signal).for_each(|(s, x)| *s += x));
+                Some(sum)
+            };
+            let mut torque = sum(Equation::Torque, 0);
+            if let Some(x) = sum(Equation::Torque, 1) {
+                // the mean of a derivative is the difference of the ends
+                let t = torque.get_or_insert_with(|| vec![0.0; s.n]);
+                for k in 0..s.n {
+                    let (a, b) = (k.saturating_sub(1), (k + 1).min(s.n - 1));
+                    t[k] += (x[b] - x[a]) * rate / (b - a).max(1) as f64;
+                }
+            }
+            let (angle, speed) = (sum(Equation::Kinematic, 0), sum(Equation::Kinematic, 1));
+            if torque.is_some() || angle.is_some() || speed.is_some() {
+                let rows = self
+                    .mechanics
+                    .rows(torque.as_deref(), angle.as_deref(), speed.as_deref(), s);
+                for (e, values) in [Equation::Torque, Equation::Kinematic].into_iter().zip(rows) {
+                    if let Some(b) = self.blocks.iter().find(|b| b.run == r && b.equation == e) {
+                        out[b.rows.clone()].copy_from_slice(&values);
+                    }
+                }
+            }
+        }
+        for block in &self.blocks {
+            if matches!(block.equation, Equation::Torque | Equation::Kinematic) {
+                continue;
+            }
+            for piece in pieces[block.run].iter().filter(|p| p.equation == block.equation) {
+                if let (Equation::Electrical, Some(p)) = (block.equation, &self.signals[block.run].phases) {
+                    let each = 3 + usize::from(p.supply.is_some());
+                    let Some(q) = piece.phase.filter(|q| *q < each) else {
+                        continue;
+                    };
+                    let scale = if q == SUPPLY { self.supply_scale } else { 1.0 };
+                    for (row, &k) in block.rows.clone().zip(&block.samples).skip(q).step_by(each) {
+                        out[row] += scale * over(&piece.signal, piece.order, k, self.window, rate);
+                    }
+                    continue;
+                }
+                if block.equation == Equation::Electrical {
+                    for (row, &k) in block.rows.clone().zip(&block.samples) {
+                        out[row] += over(&piece.signal, piece.order, k, self.window, rate);
+                    }
+                    continue;
+                }
+                let kernel = &self.bank.order[piece.order];
+                for (row, &k) in block.rows.clone().zip(&block.samples) {
+                    out[row] += kernel.at(&piece.signal, k);
+                }
+            }
+        }
+        out
+    }
+
+    /// Takes the noise of an equation from the data where it is more than the sensors are said to have: half the
+    /// energy of the differences of rows that follow each other, in which slow gaps leave little.
+    pub fn raise_floor(&mut self, e: Equation, rms: f64) {
+        let i = e.index();
+        self.floor[i] = self.floor[i].max(rms);
+        self.sensor_floor[i] = self.sensor_floor[i].max(rms);
+    }
+
+    /// Noise of an equation's rows by the differences of those that follow each other.
+    pub fn by_differences(&self, residual: &[f64], e: Equation) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for b in self.blocks.iter().filter(|b| b.equation == e) {
+            for x in residual[b.rows.clone()].windows(2) {
+                sum += 0.5 * (x[1] - x[0]).powi(2);
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
+    }
+
+    /// Covariance of a nuisance's column with the left-hand side that noise alone makes, a row of an equation.
+    pub fn shared_noise(&self, name: &str, e: usize) -> f64 {
+        let torque = self.regressor_noise[e] * self.floor[e].powi(2);
+        match (name, Equation::ALL[e]) {
+            ("inertia", Equation::Torque | Equation::Kinematic) => torque,
+            ("torque_constant" | "drive_gain", Equation::Torque | Equation::Kinematic) => -torque,
+            ("resistance", Equation::Electrical) => -self.current_noise.0,
+            ("inductance", Equation::Electrical) => -self.current_noise.1,
+            _ => 0.0,
+        }
+    }
+
+    /// Rows in a second of an equation.
+    pub fn row_rate_hz(&self, e: Equation) -> f64 {
+        match e {
+            Equation::Torque | Equation::Kinematic => self.clock.rate_hz / self.group() as f64,
+            Equation::Electrical => self.clock.rate_hz / self.window as f64,
+            _ => self.clock.rate_hz / self.clock.stride as f64,
+        }
+    }
+
+    /// Energy over that of the sensors' noise, a row, of what is left in means over `seconds`: slow torques stay,
+    /// what a sensor's grain makes at a steady speed does not.
+    pub fn slow_energy(&self, residual: &[f64], e: Equation, seconds: f64) -> f64 {
+        let m = ((seconds * self.row_rate_hz(e)) as usize).max(1);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for b in self.blocks.iter().filter(|b| b.equation == e) {
+            for rows in residual[b.rows.clone()].chunks_exact(m) {
+                sum += rows.iter().sum::<f64>().powi(2) / m as f64;
+                count += 1.0;
+            }
+        }
+        let floor = self.sensor_floor[e.index()].powi(2);
+        if count > 0.0 { sum / count / floor } else { 0.0 }
+    }
+
+    /// Sine and cosine of a frequency in the rows of a block, as local columns.
+    pub fn add_hum(&mut self, block: usize, f_hz: f64) {
+        let b = self.blocks[block].clone();
+        let w = std::f64::consts::TAU * f_hz / self.clock.rate_hz;
+        for f in [f64::sin, f64::cos] {
+            let mut c = vec![0.0; self.rows];
+            for (row, &k) in b.rows.clone().zip(&b.samples) {
+                c[row] = f(w * k as f64);
+            }
+            self.add_local(c, None);
+        }
+    }
+
+    /// Rows of an equation.
+    pub fn rows_of(&self, e: Equation) -> usize {
+        self.blocks
+            .iter()
+            .filter(|b| b.equation == e)
+            .map(|b| b.rows.len())
+            .sum()
+    }
+
+    /// Noise of the torque beyond what the sensors are said to have, rms [N m], by the differences of rows.
+    pub fn unresolved(&self, residual: &[f64]) -> f64 {
+        let (noise, share) = self.torque_noise;
+        let seen = self.by_differences(residual, Equation::Torque) / self.floor[Equation::Torque.index()].max(1e-300);
+        if share > 0.0 && seen * seen > 1.05 {
+            ((seen * seen - 1.0) / share).sqrt() * noise
+        } else {
+            0.0
+        }
+    }
+
+    /// Samples in a row of the torque equation.
+    pub fn group(&self) -> usize {
+        self.mechanics.group()
+    }
+
+    /// rms of the sensors' noise in the rows of an equation.
+    pub fn floor_of(&self, e: Equation) -> f64 {
+        self.sensor_floor[e.index()]
+    }
+
+    /// Energy of the sensors' noise in the rows of an equation.
+    pub fn sensor_energy(&self, e: usize) -> f64 {
+        self.rows_of(Equation::ALL[e]) as f64 * self.sensor_floor[e].powi(2)
+    }
+
+    /// Torque that the model does not have, rms [N m], by the energy that it leaves: with it, the rows are as
+    /// large as the filter expects.
+    pub fn excess_left(&self, energy: &[f64; 5]) -> f64 {
+        let n = self.rows_of(Equation::Torque) as f64;
+        let (noise, share) = self.torque_noise;
+        if n == 0.0 || share <= 0.0 {
+            return 0.0;
+        }
+        let over = energy[Equation::Torque.index()] / (n * self.floor[Equation::Torque.index()].powi(2)) - 1.0;
+        let left = self.excess.powi(2) + over / share * noise * noise;
+        // what is within the statistics of the noise is none
+        if left < 0.1 * noise * noise && over < 0.05 {
+            0.0
+        } else {
+            left.max(0.0).sqrt()
+        }
+    }
+
+    /// One over the floor of each row's equation.
+    pub fn weights(&self, sigma: &[f64; 5]) -> Vec<f64> {
+        let mut w = vec![0.0; self.rows];
+        for b in &self.blocks {
+            w[b.rows.clone()].fill(1.0 / sigma[b.equation.index()]);
+        }
+        w
+    }
+
+    /// Sum of squares of a vector of rows, by equation.
+    pub fn energy(&self, r: &[f64]) -> [f64; 5] {
+        let mut out = [0.0; 5];
+        for b in &self.blocks {
+            out[b.equation.index()] += r[b.rows.clone()].iter().map(|x| x * x).sum::<f64>();
+        }
+        out
+    }
+}
+
+/// A channel that many samples later.
+fn moved(x: &[f64], samples: i64) -> Vec<f64> {
+    let last = x.len() as i64 - 1;
+    (0..x.len() as i64)
+        .map(|k| x[(k + samples).clamp(0, last) as usize])
+        .collect()
+}
+
+/// A channel's own kernels may reach a little further than the common ones: the ends are held.
+fn within(bank: &FilterBank, order: usize, x: &[f64], k: usize) -> f64 {
+    let half = bank.half();
+    bank.order[order].at(x, k.clamp(half, x.len() - 1 - half))
+}
+
+/// The user's angle behind the known play, which starts where the user's sensor says.
+fn played(s: &Signals, half: f64) -> Vec<f64> {
+    let theta = &s.theta;
+    let lag = s.user.as_ref().map_or(0.0, |u| u[0] - s.position[0]);
+    let start = theta[0] + if lag.abs() <= 1.05 * half { lag } else { 0.0 };
+    let mut play = Play::new(2.0 * half, start);
+    theta.iter().map(|t| play.step(*t)).collect()
+}
+
+/// Correlation of filtered white noise over `lag` samples.
+fn autocorrelation(bank: &FilterBank, lag: usize) -> f64 {
+    let n = 2 * bank.half() + 1;
+    let mut impulse = vec![0.0; 2 * n + 2 * lag + 1];
+    let middle = impulse.len() / 2;
+    impulse[middle] = 1.0;
+    let half = bank.half();
+    let h: Vec<f64> = (half..impulse.len() - half)
+        .map(|k| bank.order[0].at(&impulse, k))
+        .collect();
+    let sum = |d: usize| -> f64 { h.iter().zip(&h[d.min(h.len())..]).map(|(a, b)| a * b).sum() };
+    sum(lag) / sum(0)
+}
+
+/// rms that the sensors' noise leaves in each equation.
+fn floors(bench: &Bench, clock: &Clock, noise: &NoiseTable, bank: &FilterBank, window: usize) -> [f64; 5] {
+    use BenchChannel as C;
+    let rig = &bench.rig;
+    // rms that a channel's noise leaves behind a filter
+    let left = |c: C, order: usize| -> f64 {
+        noise
+            .get(&c)
+            .map_or(0.0, |n| n.rms * bank.order[order].noise_gain_of(n.colour))
+    };
+    let (speed, accel) = if clock.from_position {
+        (left(C::Position, 1), left(C::Position, 2))
+    } else {
+        (left(C::Velocity, 0), left(C::Velocity, 1))
+    };
+    let grain = |c: C| bench.channel(c).map_or(0.0, |s| s.resolution);
+    let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-300);
+    let kt = rig.drive_constant.value;
+    let law = rig.controller.as_ref().map_or(0.0, |l| l.speed_gain);
+    Equation::ALL.map(|e| match e {
+        Equation::Torque => norm(&[
+            kt * left(rig.drive, 0),
+            rig.inertia.value * accel,
+            rig.viscous.value * speed,
+            left(C::Load, 0),
+        ]),
+        Equation::Electrical => {
+            let rms = |c: C| noise.get(&c).map_or(0.0, |n| n.slow_rms());
+            let (share, seconds) = (1.0 / (window as f64).sqrt(), window as f64 / clock.rate_hz);
+            let speed = match (clock.from_position, clock.steady) {
+                (true, _) => 2f64.sqrt() * rms(C::Position) / seconds,
+                (false, _) => rms(C::Velocity) * share,
+            };
+            if bench.has_phases() {
+                let (i, v) = (rms(C::CurrentA), rms(C::VoltageA));
+                let (r, l, ke) = (
+                    0.5 * rig.resistance.value,
+                    0.5 * rig.inductance.value,
+                    0.5 * rig.back_emf.value,
+                );
+                return norm(&[v * share, r * i * share, l * i / seconds, ke * speed]);
+            }
+            norm(&[
+                rms(C::Voltage) * share,
+                rig.resistance.value * rms(rig.drive) * share,
+                // the mean of two samples at each end
+                rig.inductance.value * rms(rig.drive) / seconds,
+                rig.back_emf.value * speed,
+            ])
+        }
+        // the grain of an angle sensor does not average out where it stands
+        Equation::Transmission => norm(&[
+            left(C::UserPosition, 0).max(STANDING_GRAIN * grain(C::UserPosition)),
+            left(C::Position, 0).max(STANDING_GRAIN * grain(C::Position)),
+        ]),
+        Equation::Kinematic => norm(&[left(C::Velocity, 0), left(C::Position, 1)]),
+        Equation::Controller => norm(&[left(rig.drive, 1), law * clock.speed_noise * bank.order[1].noise_gain()]),
+    })
+}

@@ -1,0 +1,585 @@
+//! The motion of a run as the equations need it: smoothed angle and speed on one clock, the sign of
+//! the motion averaged over each sample, and the other channels brought to the same moment.
+
+use crate::equations::filter::FilterBank;
+use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
+use crate::measured::recording::{self, ChannelNoise, Run};
+use std::collections::BTreeMap;
+
+/// Highest corner of the filters as a share of the sampling rate, and lowest corner [Hz] (assumed).
+const HIGHEST: f64 = 1.0 / 16.0;
+const LOWEST_HZ: f64 = 0.02;
+/// A sample is at rest below so many standard deviations of the smoothed speed.
+const AT_REST: f64 = 4.0;
+/// Share of the greatest speed that is never called motion (assumed).
+const CREEP: f64 = 1e-3;
+/// Rests that are interrupted for less than this are one [s] (assumed).
+const PAUSE_S: f64 = 0.006;
+/// A step of the drive signal over its usual one from which the mean over a sample is not known well enough
+/// (assumed), and the share of all samples that may be left out for it.
+const TRANSIENT: f64 = 12.0;
+const MOST_TRANSIENT: f64 = 0.08;
+
+/// Share of the supply voltage that the back-EMF may take before the current is no longer held (assumed).
+const SUPPLY_SHARE: f64 = 0.85;
+
+/// Current of three phases over that which nine samples in ten stay below, from which they are in a transient (assumed).
+const STRONG: f64 = 2.5;
+
+/// Samples around a gap of the clock that are left out.
+const AROUND_GAP: usize = 40;
+
+/// Noise of each channel.
+pub type NoiseTable = BTreeMap<BenchChannel, ChannelNoise>;
+
+/// What is the same for all runs.
+#[derive(Clone, Debug)]
+pub struct Clock {
+    pub rate_hz: f64,
+    pub corner_hz: f64,
+    /// samples from one row to the next
+    pub stride: usize,
+    /// whether speed and acceleration come from the position rather than the velocity channel
+    pub from_position: bool,
+    /// standard deviation of the smoothed speed [rad/s]
+    pub speed_noise: f64,
+    /// smoothing of the speed [samples]
+    smooth: f64,
+    /// the moment all signals are brought to, before their time stamp [s]
+    shift_s: f64,
+    /// samples are means at one speed each
+    pub steady: bool,
+}
+
+/// One run on the common clock, at the rate of the measurement.
+#[derive(Clone, Debug)]
+pub struct Signals {
+    pub n: usize,
+    pub rate_hz: f64,
+    pub start_s: f64,
+    /// smoothed angle [rad], speed [rad/s], acceleration [rad/s2]
+    pub theta: Vec<f64>,
+    pub omega: Vec<f64>,
+    pub accel: Vec<f64>,
+    /// mean over the sample of the sign of the motion
+    pub sign: Vec<f64>,
+    /// at rest, or turning round: the dry friction is not known
+    pub resting: Vec<bool>,
+    /// in a gap of the clock; empty where there is none
+    pub lost: Vec<bool>,
+    /// the drive signal steps here; empty where it never does
+    pub stepping: Vec<bool>,
+    /// the drive channel as measured, on the common clock
+    pub drive: Vec<f64>,
+    /// its derivative, smoothed
+    pub drive_rate: Vec<f64>,
+    /// torque [N m], 0 where it is not measured
+    pub load: Vec<f64>,
+    /// smooth enough that its magnitude is not that of its noise
+    pub load_level: Vec<f64>,
+    pub has_load: bool,
+    /// smoothed [degC]
+    pub temperature: Option<Vec<f64>>,
+    pub voltage: Option<Vec<f64>>,
+    pub supply: Option<Vec<f64>>,
+    /// three phases, where they are measured
+    pub phases: Option<Phases>,
+    /// position as measured, and the user's times the gear ratio
+    pub position: Vec<f64>,
+    pub user: Option<Vec<f64>>,
+    pub velocity: Option<Vec<f64>>,
+    pub command: Option<Vec<f64>>,
+    /// the controller's law on the measured signals [drive unit], and where it is limited
+    pub law: Option<(Vec<f64>, Vec<bool>)>,
+    /// angle that angles are counted from [rad]
+    pub rest: f64,
+}
+
+/// Place of the supply among the phases' equations.
+pub const SUPPLY: usize = 3;
+
+/// Currents and voltages of three phases; means over the samples.
+#[derive(Clone, Debug)]
+pub struct Phases {
+    pub current: [Vec<f64>; 3],
+    /// against the star point
+    pub voltage: Option<[Vec<f64>; 3]>,
+    /// of the supply
+    pub supply: Option<Vec<f64>>,
+    pub pole_pairs: f64,
+}
+
+impl Phases {
+    fn new(bench: &Bench, run: &Run) -> Option<Self> {
+        let three = |c: [BenchChannel; 3]| -> Option<[Vec<f64>; 3]> {
+            Some([
+                run.channel(c[0])?.to_vec(),
+                run.channel(c[1])?.to_vec(),
+                run.channel(c[2])?.to_vec(),
+            ])
+        };
+        Some(Self {
+            current: three(BenchChannel::CURRENTS)?,
+            voltage: three(BenchChannel::VOLTAGES),
+            supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),
+            pole_pairs: bench.rig.pole_pairs,
+        })
+    }
+
+    fn way(&self, s: &Signals, k: usize) -> (f64, f64) {
+        let half = 0.5 * s.omega[k] / s.rate_hz;
+        (s.theta[k] - half, s.theta[k] + half)
+    }
+
+    /// Mean over each sample, as far as phase `q` conducts, of a function of angle and back-EMF shape.
+    pub fn mean_over_support(&self, s: &Signals, q: usize, f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
+        (0..s.n)
+            .map(|k| {
+                let (from, to) = self.way(s, k);
+                recording::over_support(self.pole_pairs, q, from, to, &f)
+            })
+            .collect()
+    }
+
+    /// Mean over each sample of a function of the angle.
+    pub fn mean(&self, s: &Signals, f: impl Fn(f64) -> f64) -> Vec<f64> {
+        (0..s.n)
+            .map(|k| {
+                let (from, to) = self.way(s, k);
+                let at = |j: usize| f(from + (to - from) * (j as f64 + 0.5) / 6.0);
+                (0..6).map(at).sum::<f64>() / 6.0
+            })
+            .collect()
+    }
+}
+
+/// Straight interpolation of `x` at `shift` samples later.
+pub fn shifted(x: &[f64], shift: f64) -> Vec<f64> {
+    if shift.abs() < 1e-9 {
+        return x.to_vec();
+    }
+    let last = x.len() - 1;
+    (0..x.len())
+        .map(|k| {
+            let at = (k as f64 + shift).clamp(0.0, last as f64);
+            let i = (at as usize).min(last - 1);
+            x[i] + (at - i as f64) * (x[i + 1] - x[i])
+        })
+        .collect()
+}
+
+impl Clock {
+    /// * `inertia` J [kg m2], `drive_constant` torque of a drive unit
+    pub fn new(bench: &Bench, runs: &[Run], noise: &NoiseTable) -> Self {
+        let rate_hz = runs[0].rate_hz;
+        if runs[0].steady {
+            return Self {
+                rate_hz,
+                corner_hz: rate_hz,
+                stride: 1,
+                from_position: false,
+                speed_noise: 0.0,
+                smooth: 0.0,
+                shift_s: 0.0,
+                steady: true,
+            };
+        }
+        let rig = &bench.rig;
+        let get = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
+        let has = |c: BenchChannel| runs.iter().all(|r| r.channel(c).is_some());
+        let drive = rig.drive_constant.value * get(rig.drive);
+        let from_position = if has(BenchChannel::Position) && has(BenchChannel::Velocity) {
+            let bank = FilterBank::new(rate_hz * 0.04, rate_hz, 0.0);
+            let a = get(BenchChannel::Position) * bank.order[2].noise_gain();
+            let b = get(BenchChannel::Velocity) * bank.order[1].noise_gain();
+            a <= b
+        } else {
+            has(BenchChannel::Position)
+        };
+        // the highest corner at which the acceleration does not drown the drive signal
+        let mut corner_hz = HIGHEST * rate_hz;
+        while corner_hz > (0.004 * rate_hz).max(LOWEST_HZ) {
+            let bank = FilterBank::new(corner_hz, rate_hz, 0.0);
+            let a = if from_position {
+                get(BenchChannel::Position) * bank.order[2].noise_gain()
+            } else {
+                get(BenchChannel::Velocity) * bank.order[1].noise_gain()
+            };
+            if rig.inertia.value * a <= (drive * bank.order[0].noise_gain()).max(1e-300) {
+                break;
+            }
+            corner_hz *= 0.8;
+        }
+        let speed_noise_of = |sigma: f64| {
+            let bank = FilterBank::smoother(sigma, rate_hz, 0.0);
+            if from_position {
+                get(BenchChannel::Position) * bank.order[1].noise_gain()
+            } else {
+                get(BenchChannel::Velocity) * bank.order[0].noise_gain()
+            }
+        };
+        let of_position = runs
+            .iter()
+            .filter_map(|r| r.channel(BenchChannel::Position))
+            .flat_map(|x| x.windows(11).map(|w| (w[10] - w[0]).abs() * rate_hz * 0.1))
+            .fold(0.0, f64::max);
+        let of_velocity = runs
+            .iter()
+            .filter_map(|r| r.channel(BenchChannel::Velocity))
+            .flatten()
+            .fold(0.0, |a: f64, w| a.max(w.abs()));
+        let fastest = if of_position > 0.0 { of_position } else { of_velocity };
+        let mut smooth = 1.5;
+        while smooth < 5.0 && speed_noise_of(smooth) > 2e-4 * fastest {
+            smooth *= 1.3;
+        }
+        let stride = (rate_hz / (4.0 * corner_hz)).round().max(1.0) as usize;
+        let drive_spec = bench.channel(rig.drive).expect("checked when read");
+        Self {
+            rate_hz,
+            corner_hz,
+            stride,
+            from_position,
+            speed_noise: speed_noise_of(smooth).max(CREEP * fastest),
+            smooth,
+            shift_s: lateness(drive_spec.mean, rate_hz, drive_spec.delay_s),
+            steady: false,
+        }
+    }
+
+    /// Samples in a block that is as good as independent of the next.
+    pub fn block(&self, seconds: f64) -> usize {
+        if self.steady {
+            recording::PIECES
+        } else {
+            ((seconds * self.rate_hz) as usize).max(1)
+        }
+    }
+
+    /// The filters for a channel.
+    pub fn bank(&self, bench: &Bench, c: BenchChannel) -> FilterBank {
+        if self.steady {
+            return self.common();
+        }
+        FilterBank::new(self.corner_hz, self.rate_hz, self.shift(bench, c))
+    }
+
+    /// The filters for signals that are on the common clock already.
+    pub fn common(&self) -> FilterBank {
+        if self.steady {
+            return FilterBank::identity();
+        }
+        FilterBank::new(self.corner_hz, self.rate_hz, 0.0)
+    }
+
+    /// For the mechanics' filter, whose samples end half a sample after the common moment: whole samples by
+    /// which a channel is late, and how long before a sample's end its value was true after that [s].
+    pub fn lateness(&self, bench: &Bench, c: BenchChannel) -> (i64, f64) {
+        let late = self.shift(bench, c) + 0.5 / self.rate_hz;
+        let whole = (late * self.rate_hz + 1e-9).floor();
+        (whole as i64, late - whole / self.rate_hz)
+    }
+
+    /// How much later than the common moment a channel's value is written down [s].
+    fn shift(&self, bench: &Bench, c: BenchChannel) -> f64 {
+        let spec = bench.channel(c).expect("only asked for channels that are there");
+        lateness(spec.mean, self.rate_hz, spec.delay_s) - self.shift_s
+    }
+}
+
+impl Signals {
+    /// A friction map.
+    fn steady(bench: &Bench, run: &Run) -> Self {
+        let n = run.samples;
+        let get = |c: BenchChannel| run.channel(c).map(<[f64]>::to_vec);
+        let omega = get(BenchChannel::Velocity).unwrap_or_else(|| vec![0.0; n]);
+        let load = get(BenchChannel::Load).unwrap_or_else(|| vec![0.0; n]);
+        Self {
+            n,
+            rate_hz: run.rate_hz,
+            start_s: 0.0,
+            theta: vec![0.0; n],
+            accel: vec![0.0; n],
+            sign: omega.iter().map(|w| w.signum()).collect(),
+            resting: vec![false; n],
+            lost: Vec::new(),
+            stepping: Vec::new(),
+            drive: get(bench.rig.drive).expect("checked when read"),
+            drive_rate: vec![0.0; n],
+            has_load: run.channel(BenchChannel::Load).is_some(),
+            load_level: load.clone(),
+            load,
+            temperature: get(BenchChannel::Temperature),
+            voltage: None,
+            supply: None,
+            phases: None,
+            position: vec![0.0; n],
+            user: None,
+            velocity: None,
+            command: None,
+            law: None,
+            rest: 0.0,
+            omega,
+        }
+    }
+}
+
+fn lateness(mean: bool, rate_hz: f64, delay_s: f64) -> f64 {
+    delay_s + if mean { 0.5 / rate_hz } else { 0.0 }
+}
+
+impl Signals {
+    pub fn new(bench: &Bench, run: &Run, clock: &Clock) -> Self {
+        let rate_hz = clock.rate_hz;
+        if clock.steady {
+            return Self::steady(bench, run);
+        }
+        let at = |c: BenchChannel| -> Option<Vec<f64>> {
+            run.channel(c).map(|x| shifted(x, clock.shift(bench, c) * rate_hz))
+        };
+        let smoother = |c: BenchChannel| FilterBank::smoother(clock.smooth, rate_hz, clock.shift(bench, c));
+        let (theta, omega, accel);
+        if let (Some(x), true) = (run.channel(BenchChannel::Position), clock.from_position) {
+            let s = smoother(BenchChannel::Position);
+            (theta, omega, accel) = (s.whole(0, x), s.whole(1, x), s.whole(2, x));
+        } else if let Some(w) = run.channel(BenchChannel::Velocity) {
+            let s = smoother(BenchChannel::Velocity);
+            (omega, accel) = (s.whole(0, w), s.whole(1, w));
+            theta = match run.channel(BenchChannel::Position) {
+                Some(x) => smoother(BenchChannel::Position).whole(0, x),
+                None => integral(&omega, rate_hz),
+            };
+        } else {
+            unreachable!("checked: position or velocity")
+        }
+        let position = at(BenchChannel::Position).unwrap_or_else(|| theta.clone());
+        let (sign, mut resting) = directions(&omega, AT_REST * clock.speed_noise, (PAUSE_S * rate_hz) as usize);
+        // what lies in a gap of the clock is nothing that was measured
+        // nor are its neighbours, as far as the smoother reaches and until the filter has found the motion again
+        for k in (0..run.lost.len()).filter(|&k| run.lost[k]) {
+            resting[k.saturating_sub(AROUND_GAP)..(k + AROUND_GAP).min(run.samples)].fill(true);
+        }
+        let rig = &bench.rig;
+        if rig.drive == BenchChannel::Current {
+            // near the supply's limit the phases no longer carry what the commutation asks for
+            let fastest = SUPPLY_SHARE * rig.supply_voltage / rig.back_emf.value.max(1e-12);
+            resting
+                .iter_mut()
+                .zip(&omega)
+                .for_each(|(r, w)| *r |= w.abs() > fastest);
+        }
+        let drive_channel = bench.rig.drive;
+        let raw = run.channel(drive_channel).expect("checked when read");
+        let mut stepping = vec![false; run.samples];
+        for k in transients(raw) {
+            stepping[k.saturating_sub(1)..(k + 2).min(run.samples)].fill(true);
+        }
+        if bench.has_phases() {
+            // in a transient the phases do not carry what two of them carry at rest
+            for k in strong(raw) {
+                stepping[k.saturating_sub(1)..(k + 3).min(run.samples)].fill(true);
+            }
+        }
+        resting.iter_mut().zip(&stepping).for_each(|(r, s)| *r |= s);
+        let s = smoother(drive_channel);
+        let command = at(BenchChannel::Command);
+        let law = command.as_ref().zip(bench.rig.controller.as_ref());
+        let user = at(BenchChannel::UserPosition);
+        let law = law.map(|(command, law)| {
+            let position = if law.on_user {
+                user.as_ref().unwrap_or(&theta)
+            } else {
+                &theta
+            };
+            demanded(law, command, position, &omega, rate_hz)
+        });
+        let temperature = run.channel(BenchChannel::Temperature);
+        let temperature = temperature.map(|x| FilterBank::new(0.002 * rate_hz, rate_hz, 0.0).whole(0, x));
+        Self {
+            n: run.samples,
+            rate_hz,
+            start_s: run.start_s,
+            // of the sensor, in all runs the same
+            rest: if run.channel(BenchChannel::Position).is_some() {
+                0.0
+            } else {
+                theta[0]
+            },
+            theta,
+            omega,
+            accel,
+            sign,
+            resting,
+            lost: run.lost.clone(),
+            stepping,
+            drive: at(drive_channel).expect("checked when read"),
+            drive_rate: s.whole(1, raw),
+            has_load: run.channel(BenchChannel::Load).is_some(),
+            load: at(BenchChannel::Load).unwrap_or_else(|| vec![0.0; run.samples]),
+            load_level: match run.channel(BenchChannel::Load) {
+                Some(x) => FilterBank::smoother(3.0 * clock.smooth, rate_hz, clock.shift(bench, BenchChannel::Load))
+                    .whole(0, x),
+                None => vec![0.0; run.samples],
+            },
+            temperature,
+            voltage: at(BenchChannel::Voltage),
+            supply: at(BenchChannel::VDc),
+            phases: Phases::new(bench, run),
+            position,
+            user,
+            velocity: at(BenchChannel::Velocity),
+            command,
+            law,
+        }
+    }
+}
+
+/// The law's output, and where a limit acts on it.
+fn demanded(
+    law: &ControllerLaw,
+    command: &[f64],
+    position: &[f64],
+    omega: &[f64],
+    rate_hz: f64,
+) -> (Vec<f64>, Vec<bool>) {
+    let mut sum = 0.0;
+    let mut out = Vec::with_capacity(omega.len());
+    let mut limited = Vec::with_capacity(omega.len());
+    for k in 0..omega.len() {
+        let reference = law.position_gain * (command[k] - position[k]);
+        let reference = reference.clamp(-law.speed_limit, law.speed_limit);
+        let error = reference - omega[k];
+        let u = law.speed_gain * error + sum;
+        let over = u.abs() > 0.99 * law.drive_limit;
+        if !over {
+            sum += law.integral_gain * error / rate_hz;
+        }
+        out.push(u.clamp(-law.drive_limit, law.drive_limit));
+        limited.push(over);
+    }
+    (shifted(&out, -law.lag_s * rate_hz), limited)
+}
+
+fn integral(w: &[f64], rate_hz: f64) -> Vec<f64> {
+    let mut x = 0.0;
+    w.iter()
+        .map(|w| {
+            x += w / rate_hz;
+            x
+        })
+        .collect()
+}
+
+/// Mean sign of the motion over each sample, and where it rests. A passage through zero is placed
+/// between samples by a straight line.
+fn directions(omega: &[f64], threshold: f64, pause: usize) -> (Vec<f64>, Vec<bool>) {
+    let n = omega.len();
+    let mut sign = vec![0.0; n];
+    for k in 0..n {
+        let before = 0.5 * (omega[k] + omega[k.saturating_sub(1)]);
+        let after = 0.5 * (omega[k] + omega[(k + 1).min(n - 1)]);
+        sign[k] = if before * after < 0.0 {
+            (before.abs() * before.signum() + after.abs() * after.signum()) / (before.abs() + after.abs())
+        } else {
+            omega[k].signum()
+        };
+    }
+    // at rest: slower than the threshold for four samples or more
+    let mut resting = vec![false; n];
+    let mut k = 0;
+    let mut last: Option<usize> = None;
+    while k < n {
+        let from = k;
+        while k < n && omega[k].abs() < threshold {
+            k += 1;
+        }
+        if k - from >= 4 {
+            // noise that looks like motion for a moment does not end a rest
+            let from = last.filter(|l| from - l <= pause).unwrap_or(from);
+            resting[from..k].fill(true);
+            last = Some(k);
+        }
+        k = k.max(from) + 1;
+    }
+    // friction turns over somewhere within the sample of a reversal, and may hold for a while
+    for k in 1..n {
+        if omega[k] * omega[k - 1] <= 0.0 {
+            resting[k - 1] = true;
+            resting[k] = true;
+        }
+    }
+    (sign, resting)
+}
+
+/// Samples at which a signal steps by far more than it usually does.
+fn transients(x: &[f64]) -> Vec<usize> {
+    let mut steps: Vec<f64> = x.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
+    if steps.len() < 16 {
+        return Vec::new();
+    }
+    let middle = steps.len() / 2;
+    let usual = *steps.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745;
+    let (low, high) = x.iter().fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    let most = (TRANSIENT * usual).max(0.02 * (high - low));
+    let found: Vec<usize> = (1..x.len()).filter(|&k| (x[k] - x[k - 1]).abs() > most).collect();
+    if found.len() as f64 > MOST_TRANSIENT * x.len() as f64 {
+        Vec::new()
+    } else {
+        found
+    }
+}
+
+/// Samples at which a signal is far stronger than it usually is.
+fn strong(x: &[f64]) -> Vec<usize> {
+    let mut sizes: Vec<f64> = x.iter().map(|x| x.abs()).collect();
+    let order = sizes.len() * 9 / 10;
+    let usual = *sizes.select_nth_unstable_by(order, f64::total_cmp).1;
+    (0..x.len()).filter(|&k| x[k].abs() > STRONG * usual).collect()
+}
+
+/// What a drive that is read at points does from sample to sample beyond a smooth course, rms of its torque [N m],
+/// by its fourth differences; 0 where it is a mean.
+pub fn swing(bench: &Bench, runs: &[Run]) -> f64 {
+    let c = bench.rig.drive;
+    if bench.channel(c).is_none_or(|s| s.mean) {
+        return 0.0;
+    }
+    let mut all: Vec<f64> = runs
+        .iter()
+        .filter(|r| !r.steady)
+        .filter_map(|r| r.channel(c))
+        .flat_map(|x| {
+            x.windows(5)
+                .map(|w| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).abs())
+        })
+        .collect();
+    if all.is_empty() {
+        return 0.0;
+    }
+    let middle = all.len() / 2;
+    let usual = *all.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745 / 70f64.sqrt();
+    bench.rig.drive_constant.value.abs() * usual
+}
+
+/// The noise of every channel of a bench.
+pub fn noise_table(bench: &Bench, runs: &[Run]) -> NoiseTable {
+    let specs = bench.channels.iter().filter(|c| c.channel != BenchChannel::Time);
+    specs.map(|c| (c.channel, recording::noise(c, runs))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_passage_through_zero_is_placed_between_samples() {
+        let omega: Vec<f64> = (0..20).map(|k| k as f64 - 9.75).collect();
+        let (sign, resting) = directions(&omega, 0.1, 0);
+        assert_eq!(sign[8], -1.0);
+        assert_eq!(sign[11], 1.0);
+        // zero at 9.75: the sample around 10 (9.5..10.5) is a quarter negative
+        assert!((sign[10] - 0.5).abs() < 1e-12, "{}", sign[10]);
+        let held: Vec<usize> = (0..20).filter(|&k| resting[k]).collect();
+        assert_eq!(held, [9, 10]);
+    }
+}

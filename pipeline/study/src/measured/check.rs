@@ -1,0 +1,333 @@
+//! The usual mistakes of a bench file, looked for before anything is fitted: units, swapped columns,
+//! reversed signs, a machine that never moves. Each is told in one line with its likely cause.
+
+use crate::equations::filter::FilterBank;
+use crate::measured::bench::{Bench, BenchChannel, Role};
+use crate::measured::recording::Run;
+use schemas::error::{Error, Result};
+
+/// Factors that wrong units make, and what they are.
+const FACTORS: [(f64, &str); 9] = [
+    (1000.0, "a factor of 1000: milli or kilo"),
+    (1e6, "a factor of 1e6: micro, or a time in ms"),
+    (
+        std::f64::consts::TAU,
+        "a factor of 2 pi: turns for rad, or Hz for rad/s",
+    ),
+    (60.0, "a factor of 60: per minute for per second"),
+    (60.0 / std::f64::consts::TAU, "a factor of 60/(2 pi): rpm for rad/s"),
+    (180.0 / std::f64::consts::PI, "a factor of 57.3: degrees for rad"),
+    (100.0, "a factor of 100: centi or per cent"),
+    (10.0, "a factor of 10"),
+    (3600.0, "a factor of 3600: hours for seconds"),
+];
+
+/// The likely cause of a ratio that should be 1.
+fn cause(ratio: f64, gear: f64) -> String {
+    let size = ratio.abs().max(1e-300);
+    let near = |f: f64| [size / f, size * f].iter().any(|x| (0.7..1.43).contains(x));
+    if gear > 1.5 && near(gear) {
+        return format!("a factor of {gear:.4}: the gear ratio (motor side for user side)");
+    }
+    match FACTORS.iter().find(|(f, _)| near(*f)) {
+        Some((_, text)) => (*text).to_string(),
+        None => "unit or scale".to_string(),
+    }
+}
+
+/// Slope of `y` on `x`, and their correlation.
+fn slope(x: &[f64], y: &[f64]) -> (f64, f64) {
+    let n = x.len().min(y.len()) as f64;
+    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for (x, y) in x.iter().zip(y) {
+        xx += (x - mx) * (x - mx);
+        xy += (x - mx) * (y - my);
+        yy += (y - my) * (y - my);
+    }
+    (xy / xx.max(1e-300), xy / (xx * yy).sqrt().max(1e-300))
+}
+
+/// Checks all runs of a bench.
+pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
+    use BenchChannel as C;
+    let rate = runs[0].rate_hz;
+    for (i, a) in runs.iter().enumerate() {
+        for b in runs[..i]
+            .iter()
+            .filter(|b| b.hash == a.hash && b.labels == a.labels && !b.steady)
+        {
+            let proves = |r: &Run| r.role == Role::HeldOut;
+            let finds = |r: &Run| matches!(r.role, Role::Fit | Role::Select);
+            let end = |r: &Run| r.start_s + r.duration_s();
+            let common = end(a).min(end(b)) - a.start_s.max(b.start_s);
+            if (proves(a) && finds(b) || proves(b) && finds(a)) && common > 0.01 * a.duration_s().min(b.duration_s()) {
+                let found = format!(
+                    "{common:.3} s that stand in {} too, with the role {}",
+                    b.name,
+                    b.role.name()
+                );
+                let allowed = "rows that prove what others found: windows that do not overlap";
+                return Err(Error::bad(&a.name, format!("role {}", a.role.name()), found, allowed));
+            }
+        }
+    }
+    for run in runs.iter().filter(|r| !r.steady) {
+        let file = &run.name;
+        let column = |c: C| {
+            bench.channel(c).map_or_else(String::new, |s| {
+                format!("channel `{}`, column `{}`", c.name(), s.column)
+            })
+        };
+        if (run.rate_hz / rate - 1.0).abs() > 0.02 {
+            let found = format!("{:.3} Hz where {} has {rate:.3} Hz", run.rate_hz, runs[0].name);
+            return Err(Error::bad(
+                file,
+                column(C::Time),
+                found,
+                "one sampling rate in all runs",
+            ));
+        }
+        let range = |x: &[f64]| x.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
+        for c in [C::Position, C::Velocity] {
+            if let (Some(x), Some(spec)) = (run.channel(c), bench.channel(c)) {
+                let (low, high) = range(x);
+                let still = if c == C::Position {
+                    (5.0 * spec.resolution).max(1e-9)
+                } else {
+                    1e-9
+                };
+                if high - low <= still {
+                    let found = format!("{low:e} to {high:e} over the whole run: it never moves");
+                    return Err(Error::bad(file, column(c), found, "a run in which the actuator moves"));
+                }
+            }
+        }
+        if let Some(t) = run.channel(C::Temperature) {
+            let (low, high) = range(t);
+            if low < -80.0 || high > 350.0 {
+                let found = format!("{low:.1} to {high:.1} degC (likely cause: kelvin, or another column)");
+                return Err(Error::bad(file, column(C::Temperature), found, "-80 to 350 degC"));
+            }
+        }
+        // a short piece of a run may hardly move: its sensors need not agree
+        if run.duration_s() < 1.0 {
+            continue;
+        }
+        let smooth = FilterBank::new(0.03 * rate, rate, 0.0);
+        let gear = bench.rig.gear_ratio;
+        let speed = run.channel(C::Position).map(|x| smooth.whole(1, x));
+        if let (Some(s), Some(w)) = (&speed, run.channel(C::Velocity)) {
+            let w = smooth.whole(0, w);
+            let (g, r) = slope(s, &w);
+            // a speed that hardly changes has nothing to correlate with
+            let (low, high) = range(s);
+            let changes = high - low > 0.3 * (high.abs() + low.abs());
+            if changes && r.abs() < 0.3 {
+                let found =
+                    format!("a correlation of {r:.2} with the speed of the position (likely cause: swapped columns)");
+                return Err(Error::bad(
+                    file,
+                    column(C::Velocity),
+                    found,
+                    "the velocity that belongs to the position",
+                ));
+            }
+            if changes && !(0.5..2.0).contains(&g) {
+                let why = if g < 0.0 && (0.5..2.0).contains(&-g) {
+                    "reversed sign".into()
+                } else {
+                    cause(g, gear)
+                };
+                let found = format!(
+                    "{g:.4} times the speed of the position (likely cause: {why}, of position, velocity or time)"
+                );
+                return Err(Error::bad(file, column(C::Velocity), found, "0.5 to 2 times"));
+            }
+        }
+        for (c, least) in [(C::UserPosition, 0.8), (C::Command, 0.9)] {
+            // what lags behind its command says nothing in a short time
+            if c == C::Command && run.duration_s() < 1.5 {
+                continue;
+            }
+            let (Some(x), Some(p)) = (run.channel(c), run.channel(C::Position)) else {
+                continue;
+            };
+            let (g, r) = slope(x, p);
+            if c == C::UserPosition && r.abs() < 0.5 {
+                let found = format!("a correlation of {r:.2} with the position (likely cause: swapped columns)");
+                return Err(Error::bad(file, column(c), found, "the user's side of the same motion"));
+            }
+            if r.abs() > least && !(0.4..2.5).contains(&g) {
+                let why = if g < 0.0 {
+                    "reversed sign".into()
+                } else {
+                    cause(g, gear)
+                };
+                let found = format!(
+                    "the motor's position is {g:.4} times it (likely cause: {why}, of {} or position)",
+                    c.name()
+                );
+                return Err(Error::bad(
+                    file,
+                    column(c),
+                    found,
+                    "0.4 to 2.5 times, both brought to the motor",
+                ));
+            }
+        }
+        if let (Some(v), Some(w)) = (
+            run.channel(C::Voltage),
+            speed.as_ref().or(run.channel(C::Velocity).map(|x| x.to_vec()).as_ref()),
+        ) && bench.rig.drive == C::Current
+        {
+            let (g, r) = slope(w, &smooth.whole(0, v));
+            let ratio = g / bench.rig.back_emf.value;
+            if bench.rig.back_emf.value > 0.0 && r.abs() > 0.7 && !(0.2..5.0).contains(&ratio) {
+                let why = if ratio < 0.0 {
+                    "reversed sign".into()
+                } else {
+                    cause(ratio, gear)
+                };
+                let found =
+                    format!("{ratio:.4} times what the back-EMF makes (likely cause: {why}, of voltage or speed)");
+                return Err(Error::bad(file, column(C::Voltage), found, "0.2 to 5 times"));
+            }
+        }
+    }
+    // all that comes from one file together: a piece of it may be nothing but braking
+    let mut files: Vec<&str> = runs.iter().map(|r| r.hash.as_str()).collect();
+    files.dedup();
+    for hash in files {
+        let of_file = |r: &&Run| r.hash == hash && !r.steady && r.role != Role::Baseline;
+        drive(bench, &runs.iter().filter(of_file).collect::<Vec<_>>())?;
+    }
+    Ok(())
+}
+
+/// Inertia, viscous and dry friction by a straight fit to smoothed signals: a place to begin.
+pub fn rough(bench: &Bench, runs: &[&Run]) -> Option<[f64; 3]> {
+    use BenchChannel as C;
+    let rig = &bench.rig;
+    let mut g = nalgebra::Matrix4::<f64>::zeros();
+    let mut r = nalgebra::Vector4::<f64>::zeros();
+    for run in runs {
+        let smooth = FilterBank::new(0.03 * run.rate_hz, run.rate_hz, 0.0);
+        let u = smooth.whole(0, run.channel(rig.drive)?);
+        let (w, a) = match (run.channel(C::Position), run.channel(C::Velocity)) {
+            (Some(x), _) => (smooth.whole(1, x), smooth.whole(2, x)),
+            (None, Some(w)) => (smooth.whole(0, w), smooth.whole(1, w)),
+            _ => return None,
+        };
+        let load = run.channel(C::Load);
+        let fastest = w.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest) {
+            let x = nalgebra::Vector4::new(a[k], w[k], w[k].signum(), 1.0);
+            g += x * x.transpose();
+            r += x * (rig.drive_constant.value * u[k] - load.map_or(0.0, |l| l[k]));
+        }
+    }
+    let scale = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
+    let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (scale[i] * scale[j]) + if i == j { 1e-9 } else { 0.0 });
+    let x = unit.cholesky()?.solve(&r.component_div(&scale)).component_div(&scale);
+    Some([x[0], x[1], x[2]])
+}
+
+/// Corners of the smoothing, as shares of the sampling rate.
+const WIDE: f64 = 0.03;
+const NARROW: f64 = 0.008;
+
+/// The drive signal against the torque that the nominal constants ask for, over the runs of a file.
+fn drive(bench: &Bench, runs: &[&Run]) -> Result<()> {
+    drive_at(bench, runs, WIDE)?.map_or(Ok(()), |wide| {
+        // noise of the acceleration shrinks an inertia, the less the narrower the band
+        drive_at(bench, runs, NARROW)?.map_or(Ok(()), |_| Err(wide))
+    })
+}
+
+/// The mistake that is seen with a corner at this share of the sampling rate.
+fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> {
+    use BenchChannel as C;
+    let rig = &bench.rig;
+    let (Some(spec), Some(run)) = (bench.channel(rig.drive), runs.first()) else {
+        return Ok(None);
+    };
+    let place = format!("channel `{}`, column `{}`", rig.drive.name(), spec.column);
+    let mut g = nalgebra::Matrix4::<f64>::zeros();
+    let mut r = nalgebra::Vector4::<f64>::zeros();
+    let mut energy = 0.0;
+    for run in runs {
+        let smooth = FilterBank::new(corner * run.rate_hz, run.rate_hz, 0.0);
+        let Some(u) = run.channel(rig.drive) else {
+            return Ok(None);
+        };
+        let (w, a) = match (run.channel(C::Position), run.channel(C::Velocity)) {
+            (Some(x), _) => (smooth.whole(1, x), smooth.whole(2, x)),
+            (None, Some(w)) => (smooth.whole(0, w), smooth.whole(1, w)),
+            _ => {
+                let found = "neither position nor velocity";
+                return Err(Error::bad(&run.name, "channels", found, "one of them"));
+            }
+        };
+        let u: Vec<f64> = smooth
+            .whole(0, u)
+            .iter()
+            .map(|u| u * rig.drive_constant.value)
+            .collect();
+        let load = run.channel(C::Load).map(|x| smooth.whole(0, x));
+        let fastest = w.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        // moving clearly: friction has its sign, and standing samples tell nothing; nothing was measured in a gap
+        let reach = smooth.half();
+        let near_gap = |k: usize| {
+            run.lost
+                .iter()
+                .skip(k.saturating_sub(reach))
+                .take(2 * reach + 1)
+                .any(|l| *l)
+        };
+        for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest && !near_gap(k)) {
+            let x = nalgebra::Vector4::new(
+                a[k] * rig.inertia.value.max(1e-12),
+                w[k] * rig.viscous.value.max(1e-12),
+                w[k].signum() * rig.coulomb.value.max(1e-12),
+                1.0,
+            );
+            let y = u[k] - load.as_ref().map_or(0.0, |l| l[k]);
+            g += x * x.transpose();
+            r += x * y;
+            energy += y * y;
+        }
+    }
+    let scale = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
+    let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (scale[i] * scale[j]) + if i == j { 1e-9 } else { 0.0 });
+    let Some(solved) = unit.cholesky().map(|c| c.solve(&r.component_div(&scale))) else {
+        return Ok(None);
+    };
+    let x = solved.component_div(&scale);
+    // share of the torque's energy that the inertia term makes: too little tells nothing
+    let inertial = x[0] * x[0] * g[(0, 0)] / energy.max(1e-300);
+    let frictional = x[2] * x[2] * g[(2, 2)] / energy.max(1e-300);
+    let told = inertial > 0.02;
+    if (told && x[0] < 0.0 && (x[2] < 0.0 || frictional < 0.05))
+        || (x[2] < 0.0 && frictional > 0.2 && (x[0] < 0.0 || !told))
+    {
+        let found = "a torque against the motion (likely cause: reversed sign of the drive signal or of the position)";
+        let allowed = "torque, speed and position of one sense";
+        return Ok(Some(Error::bad(&run.name, place, found, allowed)));
+    }
+    if told && rig.inertia.value > 0.0 && rig.inertia.trust != Some(0.0) && !(0.25..4.0).contains(&x[0]) {
+        let ratio = x[0];
+        let same = rig.coulomb.value > 0.0 && (0.4..2.5).contains(&(x[2] / ratio));
+        let of = if same {
+            "of the drive signal or its constant"
+        } else {
+            "of position or time, or of the inertia"
+        };
+        let found = format!(
+            "an inertia of {ratio:.4} times the nominal one (likely cause: {}, {of})",
+            cause(if same { ratio } else { 1.0 / ratio }, rig.gear_ratio)
+        );
+        return Ok(Some(Error::bad(&run.name, place, found, "0.25 to 4 times")));
+    }
+    Ok(None)
+}

@@ -1,0 +1,6 @@
+pub mod bench;
+pub mod check;
+pub mod own;
+pub mod recording;
+pub mod table;
+pub mod units;

@@ -1,0 +1,294 @@
+//! 95 % intervals that hold although residuals are correlated and the shape of an effect is only
+//! nearly right: sandwich covariance over blocks of time, and over whole runs (the held-out ones
+//! too), the wider of the two.
+
+use crate::candidates::columns;
+use crate::candidates::shapes;
+use crate::equations::problem::Problem;
+use crate::search::fit::{self, Fit, Term};
+use crate::search::select::Material;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use sim_worker::effect::{Effect, EffectKind};
+
+/// Length of a block [s] (assumed: longer than any memory of residuals seen).
+const BLOCK_S: f64 = 0.5;
+/// Two-sided 95 % of a normal distribution.
+const NORMAL_95: f64 = 1.96;
+/// Share of the priors' width that enters.
+const BELIEF: f64 = 1.0;
+/// Runs from which their scatter counts, and most that the blocks' scatter may be over that of white noise (assumed).
+const MANY_RUNS: f64 = 6.0;
+const MOST_WIDER: f64 = 6.0;
+/// Widening for the few blocks and the shapes chosen by the same data (assumed).
+const WIDER: f64 = 1.15;
+
+/// Half-widths of 95 % intervals.
+pub struct Intervals {
+    /// of the nuisance parameters' relative deviations
+    pub nuisance: Vec<f64>,
+    /// of each term's canonical parameters
+    pub terms: Vec<Vec<f64>>,
+    /// correlations of the nuisance parameters, row by row
+    pub correlation: Vec<f64>,
+}
+
+/// Derivative columns of the prediction by every parameter: nuisance, amplitudes, shapes.
+fn jacobian(m: &Material, p: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
+    let regs = fit::regressors(p, &fit.terms, &m.constants);
+    let mut j: Vec<Vec<f64>> = p.base.clone();
+    for r in &regs {
+        j.extend(r.linear.iter().cloned());
+    }
+    let shapes: Vec<(usize, usize)> = free_shapes(&fit.terms);
+    let moved: Vec<Vec<f64>> = shapes
+        .par_iter()
+        .map(|&(t, i)| {
+            let at = |d: f64| -> Vec<f64> {
+                let mut term = fit.terms[t].clone();
+                term.shape[i] += d;
+                contribution(p, m, &term)
+            };
+            let d = step(&fit.terms[t], i);
+            let (a, b) = (at(d), at(-d));
+            a.iter().zip(&b).map(|(a, b)| (a - b) / (2.0 * d)).collect()
+        })
+        .collect();
+    j.extend(moved);
+    // what belongs to single runs is fitted along
+    j.extend(p.local.iter().cloned());
+    j
+}
+
+fn step(term: &Term, i: usize) -> f64 {
+    match shapes::scales(term.kind)[i] {
+        Some(true) => 0.01 * term.shape[i].abs().max(1e-12),
+        _ if term.kind == EffectKind::TightSpot => 0.05 * term.shape[1],
+        _ if term.kind == EffectKind::Backlash => 0.01 * term.shape[i].abs().max(1.0),
+        _ if columns::form(term.kind) == columns::Form::Periodic => 1e-6,
+        _ => 0.01,
+    }
+}
+
+/// Terms and places of the shape parameters that were refined.
+fn free_shapes(terms: &[Term]) -> Vec<(usize, usize)> {
+    let mut out = Vec::new();
+    for (t, term) in terms.iter().enumerate() {
+        for (i, scale) in shapes::scales(term.kind).iter().enumerate() {
+            if scale.is_some() {
+                out.push((t, i));
+            }
+        }
+    }
+    out
+}
+
+/// What a term adds to the prediction.
+pub fn contribution(p: &Problem, m: &Material, term: &Term) -> Vec<f64> {
+    let r = fit::Regressor::new(p, term.kind, &term.shape, &m.constants);
+    let mut out = r.fixed.unwrap_or_else(|| vec![0.0; p.rows]);
+    for (a, c) in term.amplitudes.iter().zip(&r.linear) {
+        out.iter_mut().zip(c).for_each(|(o, c)| *o += a * c);
+    }
+    out
+}
+
+/// Sums of `J^T W r` by block of time and by run.
+fn scores(
+    p: &Problem,
+    j: &[Vec<f64>],
+    residual: &[f64],
+    sigma: &[f64; 5],
+    n: usize,
+) -> (Vec<DVector<f64>>, Vec<DVector<f64>>) {
+    let length = p.clock.block(BLOCK_S);
+    let mut blocks = std::collections::BTreeMap::<(usize, usize), DVector<f64>>::new();
+    let mut runs = std::collections::BTreeMap::<usize, DVector<f64>>::new();
+    for b in &p.blocks {
+        let e = b.equation.index();
+        let w = 1.0 / sigma[e].powi(2);
+        for (row, &k) in b.rows.clone().zip(&b.samples) {
+            let r = residual[row] * w;
+            let block = blocks.entry((b.run, k / length)).or_insert_with(|| DVector::zeros(n));
+            let run = runs.entry(b.run).or_insert_with(|| DVector::zeros(n));
+            for i in 0..n {
+                let x = j[i][row] * r;
+                block[i] += x;
+                run[i] += x;
+            }
+        }
+    }
+    (blocks.into_values().collect(), runs.into_values().collect())
+}
+
+/// Moves one number of a term.
+type Change = Box<dyn Fn(&mut Term, f64)>;
+
+/// Intervals of a fitted model.
+pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
+    let p = &m.fit;
+    let j = jacobian(m, p, fit);
+    let count = j.len();
+    let kept = count - p.local.len();
+    let w = p.weights(&fit.sigma);
+    let scaled: Vec<Vec<f64>> = j
+        .par_iter()
+        .map(|c| c.iter().zip(&w).map(|(x, w)| x * w).collect())
+        .collect();
+    let norm: Vec<f64> = scaled
+        .iter()
+        .map(|c| c.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-150))
+        .collect();
+    let rows: Vec<Vec<f64>> = (0..count)
+        .into_par_iter()
+        .map(|a| {
+            let dot = |b: usize| scaled[a].iter().zip(&scaled[b]).map(|(x, y)| x * y).sum::<f64>();
+            (0..=a).map(|b| dot(b) / (norm[a] * norm[b])).collect()
+        })
+        .collect();
+    let mut h = DMatrix::from_fn(count, count, |a, b| if b <= a { rows[a][b] } else { rows[b][a] });
+    for (i, n) in m.nuisances.iter().enumerate() {
+        if let Some(t) = n.trust {
+            h[(i, i)] += (1.0 / t.max(1e-9) / norm[i]).powi(2);
+        }
+    }
+    for i in 0..count {
+        h[(i, i)] += 1e-9;
+    }
+    let Some(inverse) = h.cholesky().map(|c| c.inverse()) else {
+        let wide = |t: &Term| vec![f64::INFINITY; t.kind.keys().len()];
+        return Intervals {
+            nuisance: vec![f64::INFINITY; m.nuisances.len()],
+            terms: fit.terms.iter().map(wide).collect(),
+            correlation: identity(m.nuisances.len()),
+        };
+    };
+    let (blocks, mut by_run) = scores(p, &j, &fit.residual, &fit.sigma, count);
+    // held-out runs say how far another command would move the parameters
+    if let Some(held) = &m.held {
+        let jh = jacobian(m, held, fit);
+        let nh = jh.len().min(count);
+        let (_, runs) = scores(
+            held,
+            &jh[..kept.min(nh)],
+            &m.held_residual(fit),
+            &fit.sigma,
+            kept.min(nh),
+        );
+        by_run.extend(
+            runs.into_iter()
+                .map(|r| DVector::from_fn(count, |i, _| if i < r.len() { r[i] } else { 0.0 })),
+        );
+    }
+    let spread = |groups: &[DVector<f64>], factor: f64| -> DMatrix<f64> {
+        let mut meat = DMatrix::zeros(count, count);
+        for g in groups {
+            let g = DVector::from_fn(count, |i, _| g[i] / norm[i]);
+            let x = &inverse * g;
+            meat += &x * x.transpose();
+        }
+        meat * factor
+    };
+    let n = blocks.len() as f64;
+    let mut a = spread(&blocks, n / (n - 1.0).max(1.0));
+    // what only a belief says is as uncertain as the belief
+    for (i, nuisance) in m.nuisances.iter().enumerate() {
+        if let Some(t) = nuisance.trust {
+            let x = inverse.column(i) * (BELIEF / t.max(1e-9) / norm[i]);
+            a += &x * x.transpose();
+        }
+    }
+    let runs = by_run.len() as f64;
+    let fitted = m.fit.signals.len() as f64;
+    let b = spread(&by_run, fitted / runs);
+    // where there are runs enough to say how far another command would move the parameters
+    let of_runs = if runs >= MANY_RUNS { 0.5 } else { 0.0 };
+    let sd = |i: usize| -> f64 {
+        let blocks = a[(i, i)].max(of_runs * b[(i, i)]);
+        // no better than the noise allows, and no worse than a few times that: blocks are few
+        blocks
+            .clamp(inverse[(i, i)], MOST_WIDER * MOST_WIDER * inverse[(i, i)].max(1e-300))
+            .sqrt()
+            / norm[i]
+            * WIDER
+    };
+    let cov = |i: usize, k: usize| -> f64 {
+        // the correlation of the blocks with the standard deviations of whichever is wider
+        let r = a[(i, k)] / (a[(i, i)] * a[(k, k)]).sqrt().max(1e-300);
+        r * sd(i) * sd(k)
+    };
+    let nuisance = (0..m.nuisances.len()).map(|i| NORMAL_95 * sd(i)).collect();
+    let n = m.nuisances.len();
+    let mut correlation = identity(n);
+    for i in 0..n {
+        for k in (0..n).filter(|k| *k != i) {
+            let r = cov(i, k) / (sd(i) * sd(k)).max(1e-300);
+            correlation[i * n + k] = if r.is_finite() { r.clamp(-1.0, 1.0) } else { 0.0 };
+        }
+    }
+    // canonical parameters by the delta method
+    let shapes = free_shapes(&fit.terms);
+    let amplitudes_at = m.nuisances.len();
+    let shapes_at = amplitudes_at + fit.terms.iter().map(|t| t.amplitudes.len()).sum::<usize>();
+    let kt = m.nuisances.iter().position(|n| n.name == "torque_constant");
+    let mut terms = Vec::new();
+    let mut first = amplitudes_at;
+    for (t, term) in fit.terms.iter().enumerate() {
+        let mut vary: Vec<(usize, Change, f64)> = Vec::new();
+        for i in 0..term.amplitudes.len() {
+            let d = 1e-4 * term.amplitudes.iter().fold(1e-12, |m: f64, a| m.max(a.abs()));
+            vary.push((first + i, Box::new(move |x: &mut Term, d: f64| x.amplitudes[i] += d), d));
+        }
+        for (s, &(_, i)) in shapes.iter().enumerate().filter(|(_, x)| x.0 == t) {
+            let d = 0.01 * step(term, i);
+            vary.push((shapes_at + s, Box::new(move |x: &mut Term, d: f64| x.shape[i] += d), d));
+        }
+        let value = |x: &Term| -> Effect { fit::effect_of(x, &m.constants, p) };
+        let middle = value(term);
+        let keys = term.kind.keys().len();
+        let mut half = Vec::new();
+        for key in 0..keys {
+            let slopes: Vec<(usize, f64)> = vary
+                .iter()
+                .map(|(i, change, d)| {
+                    let (mut up, mut down) = (term.clone(), term.clone());
+                    change(&mut up, *d);
+                    change(&mut down, -*d);
+                    let mut difference = value(&up).values[key] - value(&down).values[key];
+                    if term.kind.is_periodic() && key == 1 {
+                        difference = (difference + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
+                            - std::f64::consts::PI;
+                    }
+                    (*i, difference / (2.0 * d))
+                })
+                .collect();
+            let mut variance = 0.0;
+            for (i, x) in &slopes {
+                for (k, y) in &slopes {
+                    variance += x * y * cov(*i, *k);
+                }
+            }
+            // an amplitude in N m is as uncertain as the torque constant
+            if let (0, true, Some(kt)) = (key, is_torque(term.kind), kt) {
+                variance += (middle.values[0] * sd(kt)).powi(2);
+            }
+            half.push(NORMAL_95 * variance.max(0.0).sqrt());
+        }
+        terms.push(half);
+        first += term.amplitudes.len();
+    }
+    Intervals {
+        nuisance,
+        terms,
+        correlation,
+    }
+}
+
+fn identity(n: usize) -> Vec<f64> {
+    (0..n * n).map(|i| f64::from(i / n == i % n)).collect()
+}
+
+/// Whether the first parameter scales with the torque constant.
+pub fn is_torque(kind: EffectKind) -> bool {
+    kind.keys()[0].unit.starts_with("N m") || kind == EffectKind::LoadDependentFriction
+}

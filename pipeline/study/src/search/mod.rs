@@ -1,0 +1,9 @@
+pub mod closed_loop;
+pub mod compare;
+pub mod compare_motion;
+pub mod fit;
+pub mod intervals;
+pub mod remainder;
+pub mod select;
+pub mod spectrum;
+pub mod study;

@@ -1,0 +1,446 @@
+//! Which effects are missing: the candidates are ranked, taken one after another, and kept only
+//! while data that were not used to find them get better.
+
+use crate::candidates::columns::{self, RigConstants};
+use crate::equations::problem::{self, Nuisance, Problem};
+use crate::equations::signals::{self, Clock};
+use crate::measured::bench::{Bench, BenchChannel, Role};
+use crate::measured::recording::{self, Run};
+use crate::search::fit::{self, Fit, Regressor, Scan, Score, Term};
+use rayon::prelude::*;
+use sim_worker::effect::{Effect, EffectKind, Equation};
+
+/// Standard deviations from which a belief about friction is given up (assumed).
+const STRANGE: f64 = 2.5;
+
+/// Greatest delay between channels that is looked for, and greatest of a round [s].
+const MOST_DELAY_S: f64 = 5e-3;
+const DELAY_STEP_S: f64 = 2.5e-3;
+/// Rounds, smallest delay that is moved for [samples], and smallest gain in log-likelihood (assumed).
+const DELAY_ROUNDS: usize = 6;
+const LEAST_DELAY: f64 = 0.4;
+const LEAST_DELAY_GAIN: f64 = 8.0;
+const LEAST_VOLTAGE_DELAY: f64 = 1.5;
+
+/// All that a study works on.
+pub struct Material {
+    pub bench: Bench,
+    pub runs: Vec<Run>,
+    pub clock: Clock,
+    pub equations: Vec<Equation>,
+    pub nuisances: Vec<Nuisance>,
+    pub constants: RigConstants,
+    pub fit: Problem,
+    pub held: Option<Problem>,
+    /// effects that the model has already
+    known: Vec<Effect>,
+    /// torque that the model under study does not have, and what the drive does between its samples, rms [N m]
+    excess: (f64, f64),
+    /// samples that were taken together
+    pub together: usize,
+    /// delays of the channels as the bench says them [s]
+    said: Vec<(BenchChannel, f64)>,
+}
+
+/// A candidate after its shape was refined.
+#[derive(Clone, Debug)]
+pub struct Ranked {
+    /// with its best shape and amplitudes
+    pub term: Term,
+    pub score: Score,
+    /// gain in log-likelihood over the model without it
+    pub gain: f64,
+}
+
+impl Material {
+    /// * `known` effects that the model has already
+    pub fn new(mut bench: Bench, mut runs: Vec<Run>, known: &[Effect]) -> Self {
+        let together = recording::taken_together(&mut bench, &mut runs);
+        begin(&mut bench, &runs);
+        let noise = signals::noise_table(&bench, &runs);
+        let equations = problem::equations(&bench, &runs);
+        let nuisances = problem::nuisances(&bench, &runs, &noise, &equations);
+        let swing = signals::swing(&bench, &runs);
+        let m = Self::set_up(bench, runs, nuisances, known.to_vec(), (0.0, 0.0), (0.0, 0.0));
+        let mut m = Self { together, ..m }.on_time(&[]);
+        // the mean over a sample of a drive that is read at points is as uncertain as it swings between them, but
+        // it may be held between them: the data say
+        if swing > 0.0 {
+            let base = m.solve(&[], m.first_sigma());
+            let between = m.fit.unresolved(&base.residual).min(swing);
+            if between > 0.0 {
+                m = m
+                    .again(
+                        m.bench.clone(),
+                        m.nuisances.clone(),
+                        m.constants.encoder,
+                        (0.0, between),
+                    )
+                    .on_time(&[]);
+            }
+        }
+        m
+    }
+
+    /// Set up again with another bench, other nuisances, other torque noise.
+    fn again(&self, bench: Bench, nuisances: Vec<Nuisance>, encoder: (f64, f64), excess: (f64, f64)) -> Self {
+        let next = Self::set_up(bench, self.runs.clone(), nuisances, self.known.clone(), encoder, excess);
+        Self {
+            said: self.said.clone(),
+            together: self.together,
+            ..next
+        }
+    }
+
+    /// Delays between the channels that the bench does not say, found before anything else: the clocks of the
+    /// sensors are let go, and moved as long as that tells more than chance.
+    ///
+    /// * `terms` effects that are in the model already
+    pub fn on_time(self, terms: &[Term]) -> Self {
+        let clocks = [
+            ("drive_clock", self.bench.rig.drive),
+            ("velocity_clock", BenchChannel::Velocity),
+            ("voltage_clock", BenchChannel::Voltage),
+            ("user_clock", BenchChannel::UserPosition),
+        ];
+        if self.clock.steady {
+            return self;
+        }
+        let mut m = self;
+        let mut tied = m.solve(terms, m.first_sigma());
+        for _ in 0..DELAY_ROUNDS {
+            let rate = m.clock.rate_hz;
+            let mut free = m.nuisances.clone();
+            for n in free.iter_mut().filter(|n| clocks.iter().any(|c| c.0 == n.name)) {
+                n.trust = Some(MOST_DELAY_S * rate);
+            }
+            let loose = fit::solve(&m.fit, &m.constants, &free, terms, tied.sigma);
+            let mut bench = m.bench.clone();
+            let mut moved = false;
+            for (n, x) in m.nuisances.iter().zip(&loose.nuisance) {
+                let Some((_, channel)) = clocks.iter().find(|c| c.0 == n.name) else {
+                    continue;
+                };
+                // a voltage that is a little late looks like more inductance
+                let least = if *channel == BenchChannel::Voltage {
+                    LEAST_VOLTAGE_DELAY
+                } else {
+                    LEAST_DELAY
+                };
+                if x.abs() < least {
+                    continue;
+                }
+                // a column is what its channel would show a sample earlier
+                let late = -x.clamp(-DELAY_STEP_S * rate, DELAY_STEP_S * rate) / rate;
+                let spec = bench
+                    .channels
+                    .iter_mut()
+                    .find(|s| s.channel == *channel)
+                    .expect("it has a clock");
+                if (spec.delay_s + late - m.said_delay(*channel)).abs() <= MOST_DELAY_S {
+                    spec.delay_s += late;
+                    moved = true;
+                }
+            }
+            if !moved {
+                break;
+            }
+            let next = m.again(bench, m.nuisances.clone(), m.constants.encoder, m.excess);
+            let again = next.solve(terms, next.first_sigma());
+            let gain = again.score.log_likelihood - tied.score.log_likelihood;
+            if gain < LEAST_DELAY_GAIN {
+                break;
+            }
+            (m, tied) = (next, again);
+        }
+        m
+    }
+
+    /// Delay that the bench itself says [s].
+    fn said_delay(&self, c: BenchChannel) -> f64 {
+        self.said.iter().find(|s| s.0 == c).map_or(0.0, |s| s.1)
+    }
+
+    /// Delays of channels that were found beyond what the bench says [s].
+    pub fn found_delays(&self) -> Vec<(BenchChannel, f64)> {
+        let found = |s: &crate::measured::bench::ChannelSpec| (s.channel, s.delay_s - self.said_delay(s.channel));
+        self.bench.channels.iter().map(found).filter(|d| d.1 != 0.0).collect()
+    }
+
+    fn set_up(
+        bench: Bench,
+        runs: Vec<Run>,
+        nuisances: Vec<Nuisance>,
+        known: Vec<Effect>,
+        encoder: (f64, f64),
+        excess: (f64, f64),
+    ) -> Self {
+        let noise = signals::noise_table(&bench, &runs);
+        let of = |role: &[Role]| -> Vec<&Run> { runs.iter().filter(|r| role.contains(&r.role)).collect() };
+        let used = of(&[Role::Fit, Role::Select, Role::HeldOut]);
+        let used: Vec<Run> = used.into_iter().cloned().collect();
+        let clock = Clock::new(&bench, &used, &noise);
+        let equations = problem::equations(&bench, &used);
+        let mut constants = problem::constants(&bench, &clock);
+        constants.encoder = encoder;
+        let all: Vec<&Run> = used.iter().collect();
+        let build = |runs: &[&Run]| Problem::new(&bench, runs, &all, &clock, &noise, &equations, &nuisances, excess);
+        let mut fit = build(&of(&[Role::Fit, Role::Select]));
+        let held = of(&[Role::HeldOut]);
+        let mut held = (!held.is_empty()).then(|| build(&held));
+        for p in [Some(&mut fit), held.as_mut()].into_iter().flatten() {
+            let hottest = fit::hottest(p);
+            for e in &known {
+                let (shape, amplitudes) = columns::parts(e, constants.effect.coulomb, hottest);
+                let r = Regressor::new(p, e.kind, &shape, &constants);
+                let linear = amplitudes.iter().zip(&r.linear);
+                for (a, column) in r.fixed.iter().map(|f| (1.0, f)).chain(linear.map(|(a, c)| (*a, c))) {
+                    p.y.iter_mut().zip(column).for_each(|(y, c)| *y -= a * c);
+                }
+            }
+        }
+        // means between point samples of a current that swings are not known as well as its samples
+        let spec = bench.channel(bench.rig.drive);
+        if equations.contains(&Equation::Electrical)
+            && spec.is_some_and(|d| !d.mean || !matches!(d.noise, crate::measured::bench::Noise::Known(_)))
+        {
+            let base = fit::solve(&fit, &constants, &nuisances, &[], fit.floor.map(|f| f.max(1e-300)));
+            let rms = fit.by_differences(&base.residual, Equation::Electrical);
+            for p in [Some(&mut fit), held.as_mut()].into_iter().flatten() {
+                p.raise_floor(Equation::Electrical, rms);
+            }
+        }
+        let found = mains(&fit, &constants, &nuisances);
+        for f in &found {
+            for p in [Some(&mut fit), held.as_mut()].into_iter().flatten() {
+                for b in 0..p.blocks.len() {
+                    if p.blocks[b].equation == f.0 {
+                        p.add_hum(b, f.1);
+                    }
+                }
+            }
+        }
+        let said = bench.channels.iter().map(|c| (c.channel, c.delay_s)).collect();
+        Self {
+            said,
+            together: 1,
+            bench,
+            runs,
+            clock,
+            equations,
+            nuisances,
+            constants,
+            fit,
+            held,
+            known,
+            excess,
+        }
+    }
+
+    /// The same runs with the equations set up around the constants of a fit, so that what is left
+    /// of the deviations is small; the priors stay where they were.
+    pub fn around(&self, fit: &Fit) -> Self {
+        let mut bench = self.bench.clone();
+        let mut moved = Vec::new();
+        for (n, x) in self.nuisances.iter().zip(&fit.nuisance) {
+            let rig = &mut bench.rig;
+            let value = match n.name {
+                "inertia" => &mut rig.inertia.value,
+                "viscous" => &mut rig.viscous.value,
+                "coulomb" => &mut rig.coulomb.value,
+                "resistance" => &mut rig.resistance.value,
+                "inductance" => &mut rig.inductance.value,
+                "torque_constant" => &mut rig.drive_constant.value,
+                "offset" => &mut rig.offset,
+                _ => continue,
+            };
+            let factor = (1.0 + x).max(0.05);
+            if *value <= 0.0 && n.name != "offset" {
+                continue;
+            }
+            *value *= factor;
+            moved.push((n.name, factor));
+            if n.name == "torque_constant" {
+                rig.back_emf.value *= factor;
+            }
+        }
+        let mut nuisances = self.nuisances.clone();
+        for n in &mut nuisances {
+            if let Some((_, factor)) = moved.iter().find(|m| m.0 == n.name) {
+                // 1 + x_old = factor (1 + x_new)
+                n.centre = (1.0 + n.centre) / factor - 1.0;
+                n.trust = n.trust.map(|t| t / factor);
+                n.nominal *= factor;
+                // friction that is far from what was believed is another friction: what was believed
+                // of it says nothing about the scale of the rest
+                let friction = matches!(n.name, "coulomb" | "viscous");
+                if friction && n.trust.is_some_and(|t| n.centre.abs() > STRANGE * t) {
+                    n.trust = None;
+                    n.centre = 0.0;
+                }
+            }
+        }
+        let sensor = fit.terms.iter().find(|t| t.kind == EffectKind::EncoderEccentricity);
+        let encoder = sensor.map_or(self.constants.encoder, |t| (t.amplitudes[0], t.amplitudes[1]));
+        let excess = self.fit.excess_left(&fit.score.energy);
+        self.again(bench, nuisances, encoder, (excess, self.excess.1))
+    }
+
+    /// Standard deviations to begin with: what is left when only constants are re-tuned.
+    pub fn first_sigma(&self) -> [f64; 5] {
+        self.fit.floor.map(|f| f.max(1e-300))
+    }
+
+    pub fn solve(&self, terms: &[Term], sigma: [f64; 5]) -> Fit {
+        fit::solve(&self.fit, &self.constants, &self.nuisances, terms, sigma)
+    }
+
+    /// All candidates on top of a model, best first.
+    pub fn scan(&self, model: &Fit, kinds: &[EffectKind]) -> Vec<Ranked> {
+        let regs = fit::regressors(&self.fit, &model.terms, &self.constants);
+        let (y, further) = fit::assembled(&self.fit, &regs);
+        let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, model.sigma).with_orders();
+        let silent = crate::told::tell::not_excited(self);
+        let mut all: Vec<Ranked> = kinds
+            .par_iter()
+            .filter(|k| !silent.iter().any(|s| s.0 == k.name()))
+            .filter(|k| takes_several(**k) || !model.terms.iter().any(|t| t.kind == **k))
+            .filter_map(|&k| {
+                let (term, score) = scan.best(k)?;
+                let gain = score.log_likelihood - scan.none.log_likelihood;
+                Some(Ranked { term, score, gain })
+            })
+            .collect();
+        all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        all
+    }
+
+    /// Refines the shapes of all terms in turn, then solves.
+    pub fn polish(&self, model: &Fit, rounds: usize) -> Fit {
+        let mut terms = model.terms.clone();
+        let mut sigma = model.sigma;
+        for _ in 0..rounds {
+            for i in 0..terms.len() {
+                let others: Vec<Term> = terms
+                    .iter()
+                    .enumerate()
+                    .filter(|(j, _)| *j != i)
+                    .map(|(_, t)| t.clone())
+                    .collect();
+                let regs: Vec<Regressor> = fit::regressors(&self.fit, &others, &self.constants);
+                let (y, further) = fit::assembled(&self.fit, &regs);
+                let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, sigma);
+                if let Some(score) = scan.score(terms[i].kind, &terms[i].shape) {
+                    terms[i] = whole(scan.refined(terms[i].kind, &terms[i].shape, &score, 60).0);
+                }
+            }
+            let fit = self.solve(&terms, sigma);
+            terms = fit.terms.clone();
+            sigma = fit.sigma;
+        }
+        self.solve(&terms, sigma)
+    }
+
+    /// Share of the rows' greatest possible gap: rms by equation over the floor.
+    pub fn over_floor(&self, p: &Problem, energy: &[f64; 5]) -> [f64; 5] {
+        std::array::from_fn(|e| {
+            let n = p.rows_of(Equation::ALL[e]) as f64;
+            if n > 0.0 {
+                (energy[e] / n).sqrt() / p.sensor_floor[e]
+            } else {
+                f64::NAN
+            }
+        })
+    }
+
+    pub fn has(&self, c: BenchChannel) -> bool {
+        self.runs.iter().all(|r| r.channel(c).is_some())
+    }
+}
+
+/// Constants that nobody knows begin where a straight fit of the smoothed signals puts them.
+fn begin(bench: &mut Bench, runs: &[Run]) {
+    let free = |k: &crate::measured::bench::Known| k.value <= 0.0 && k.trust != Some(0.0);
+    let rig = &bench.rig;
+    if !(free(&rig.inertia) || free(&rig.coulomb) || free(&rig.viscous) || free(&rig.resistance)) {
+        return;
+    }
+    let used: Vec<&Run> = runs
+        .iter()
+        .filter(|r| matches!(r.role, Role::Fit | Role::Select) && !r.steady)
+        .collect();
+    let rough = crate::measured::check::rough(bench, &used);
+    let rig = &mut bench.rig;
+    if let Some([j, b, c]) = rough {
+        for (k, x) in [(&mut rig.inertia, j), (&mut rig.viscous, b), (&mut rig.coulomb, c)] {
+            if k.value <= 0.0 && k.trust != Some(0.0) {
+                (k.value, k.trust) = (x.max(0.0), None);
+            }
+        }
+    }
+    if rig.resistance.value <= 0.0 {
+        let rms = |c: BenchChannel| {
+            let all = used.iter().filter_map(|r| r.channel(c)).flatten();
+            let (s, n) = all.fold((0.0, 0.0), |(s, n), x| (s + x * x, n + 1.0));
+            (s / f64::max(n, 1.0)).sqrt()
+        };
+        // only a place to begin: the equation says the rest
+        let (v, i) = (rms(BenchChannel::Voltage), rms(rig.drive));
+        (rig.resistance.value, rig.resistance.trust) = (0.3 * v / i.max(1e-12), None);
+    }
+}
+
+/// An order within a fiftieth of a whole one is that: teeth, slots and poles come in whole numbers.
+fn whole(mut t: Term) -> Term {
+    let periodic = matches!(
+        t.kind,
+        EffectKind::Cogging | EffectKind::PeriodicFriction | EffectKind::TorqueRipple
+    );
+    if periodic && t.shape[0] >= 1.0 && (t.shape[0] - t.shape[0].round()).abs() < 0.02 {
+        t.shape[0] = t.shape[0].round();
+    }
+    t
+}
+
+/// Kinds that an actuator may have more than once: several orders, several places.
+fn takes_several(kind: EffectKind) -> bool {
+    matches!(
+        kind,
+        EffectKind::Cogging | EffectKind::PeriodicFriction | EffectKind::TorqueRipple | EffectKind::TightSpot
+    )
+}
+
+/// Mains hum that stands out of the residual of an equation.
+fn mains(p: &Problem, c: &RigConstants, nuisances: &[Nuisance]) -> Vec<(Equation, f64)> {
+    let base = fit::solve(p, c, nuisances, &[], p.floor.map(|f| f.max(1e-300)));
+    let mut found = Vec::new();
+    let power = |block: &problem::Block, f: f64| -> f64 {
+        let w = std::f64::consts::TAU * f / p.clock.rate_hz;
+        let (mut s, mut co) = (0.0, 0.0);
+        for (row, &k) in block.rows.clone().zip(&block.samples) {
+            let (sin, cos) = (w * k as f64).sin_cos();
+            s += base.residual[row] * sin;
+            co += base.residual[row] * cos;
+        }
+        s * s + co * co
+    };
+    for e in [Equation::Torque, Equation::Electrical] {
+        for f in problem::MAINS_HZ.into_iter().filter(|f| *f < 0.45 * p.row_rate_hz(e)) {
+            let stands_out = p
+                .blocks
+                .iter()
+                .filter(|b| b.equation == e && b.rows.len() > 100)
+                .any(|b| {
+                    let mut around: Vec<f64> = (2..14)
+                        .flat_map(|j| [-0.4, 0.4].map(|d| power(b, f + d * j as f64)))
+                        .collect();
+                    around.sort_by(f64::total_cmp);
+                    power(b, f) > 25.0 * around[around.len() / 2].max(1e-300)
+                });
+            if stands_out {
+                found.push((e, f));
+            }
+        }
+    }
+    found
+}

@@ -1,0 +1,5 @@
+pub mod findings;
+pub mod next;
+pub mod persist;
+pub mod places;
+pub mod tell;
