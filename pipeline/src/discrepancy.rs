@@ -2,11 +2,12 @@
 
 use crate::report_pages::discrepancy as page;
 use anyhow::Result;
-use ema_study::measured::bench::Bench;
+use ema_study::measured::bench::{Bench, is_recording};
 use ema_study::measured::{check, recording};
-use ema_study::search::compare;
 use ema_study::search::select::Material;
-use ema_study::search::study::{self, Verdict};
+use ema_study::search::study;
+use ema_study::search::verdict::Verdict;
+use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
 use ema_study::told::{next, persist, tell};
 use schemas::error::{Error, write_whole};
@@ -69,7 +70,7 @@ pub fn study_into(request: &Request, out: &Path, tell: &dyn Fn(&str)) -> Result<
 
 fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> Result<Written> {
     tell_user("reading");
-    let telemetry = request.bench.iter().any(|b| b.extension().is_none_or(|e| e != "toml"));
+    let telemetry = request.bench.iter().all(|b| is_recording(b));
     let model = match &request.model {
         None if telemetry => Some(PathBuf::from(REFERENCE)),
         m => m.clone(),

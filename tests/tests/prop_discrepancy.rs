@@ -7,7 +7,8 @@ use common::process::run;
 use ema_study::REFERENCE;
 use ema_study::measured::bench::Bench;
 use ema_study::measured::recording::read_runs;
-use ema_study::search::fit::{Term, admissible};
+use ema_study::search::fit::Term;
+use ema_study::search::scan::admissible;
 use ema_study::search::select::Material;
 use ema_study::search::study::{Outcome, study};
 use ema_study::told::findings::Findings;
@@ -129,37 +130,32 @@ fn prop_with_the_written_model_a_fresh_study_says_none() {
     assert!(html.contains("stribeck") && html.contains("<svg"));
 }
 
+/// A multisine of 0.2 rad as the segment of a sequence.
+fn swept(frequency_hz: f64, duration_s: f64) -> String {
+    format!(
+        "[[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = {frequency_hz:?}\n\
+         duration_s = {duration_s:?}\n"
+    )
+}
+
+/// Records the reference actuator with FSJ 3 and zeta 0.3 under the segments of a sequence.
+fn worn(out: &Path, segments: &str, options: &[&str]) {
+    let sequence = out.with_extension("toml");
+    std::fs::write(&sequence, format!("name = \"long\"\n{segments}")).unwrap();
+    let mut words = vec!["run", "--fsj", "3", "--zeta", "0.3", "--channels", "all", "--sequence"];
+    words.extend([sequence.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    words.extend(options);
+    let run = run(&words);
+    assert!(run.status.success(), "{run:?}");
+}
+
 #[test]
 fn prop_faults_of_the_test_bench_come_out_as_what_they_are() {
     let dir = tempfile::tempdir().unwrap();
-    let sequence = |name: &str, f: f64, h: f64| {
-        let path = dir.path().join(name);
-        let text = format!(
-            "name = \"long\"\n[[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = {f:?}\n\
-             duration_s = 6.0\n[[segment]]\ncommand = \"step\"\nheight_rad = {h:?}\nduration_s = 1.0\n"
-        );
-        std::fs::write(&path, text).unwrap();
-        path
-    };
-    for (name, f, h) in [("a", 0.4, 0.4), ("b", 0.55, -0.3)] {
-        let s = sequence(&format!("{name}.toml"), f, h);
-        let out = dir.path().join(format!("{name}.parquet"));
-        let run = run(&[
-            "run",
-            "--fsj",
-            "3",
-            "--zeta",
-            "0.3",
-            "--rate",
-            "1000",
-            "--channels",
-            "all",
-            "--sequence",
-            s.to_str().unwrap(),
-            "--out",
-            out.to_str().unwrap(),
-        ]);
-        assert!(run.status.success(), "{run:?}");
+    let step = |h: f64| format!("[[segment]]\ncommand = \"step\"\nheight_rad = {h:?}\nduration_s = 1.0\n");
+    for (name, f, h) in [("a.parquet", 0.4, 0.4), ("b.parquet", 0.55, -0.3)] {
+        let text = format!("{}{}", swept(f, 6.0), step(h));
+        worn(&dir.path().join(name), &text, &["--rate", "1000"]);
     }
     let bench = dir.path().join("BENCH.toml");
     let text = r#"[rig]
@@ -456,29 +452,8 @@ fn prop_without_held_out_data_there_are_candidates_and_nothing_is_written() {
 fn prop_a_unit_of_unknown_health_is_told_in_fault_terms_and_never_becomes_the_type() {
     let dir = tempfile::tempdir().unwrap();
     let csv = dir.path().join("unit.csv");
-    let sequence = dir.path().join("long.toml");
-    let text = "name = \"long\"\n[[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = 0.45\n\
-                duration_s = 7.0\n";
-    std::fs::write(&sequence, text).unwrap();
-    let (sequence, csv) = (sequence.to_str().unwrap(), csv.to_str().unwrap());
-    let made = run(&[
-        "run",
-        "--fsj",
-        "3",
-        "--zeta",
-        "0.3",
-        "--rate",
-        "2000",
-        "--sensors",
-        "reference",
-        "--channels",
-        "all",
-        "--sequence",
-        sequence,
-        "--out",
-        csv,
-    ]);
-    assert!(made.status.success(), "{made:?}");
+    worn(&csv, &swept(0.45, 7.0), &["--rate", "2000", "--sensors", "reference"]);
+    let csv = csv.to_str().unwrap();
     let out = dir.path().join("study");
     let studied = run(&["discrepancy", "--bench", csv, "--out", out.to_str().unwrap(), "--json"]);
     assert!(studied.status.success(), "{studied:?}");

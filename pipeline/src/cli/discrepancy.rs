@@ -68,14 +68,7 @@ fn to_text(f: &Findings) -> String {
             100.0 * e.explained_share
         );
         for p in &e.parameters {
-            t += &format!(
-                "  {:12} {:>12.5} {:8} 95 % {:.5} to {:.5}\n",
-                p.name,
-                Short(p.value),
-                p.unit,
-                Short(p.lo),
-                Short(p.hi)
-            );
+            t += &(row(12, 8, &p.name, &p.unit, [p.value, p.lo, p.hi]) + "\n");
         }
         if let Some(r) = &e.runner_up {
             t += &format!("  runner-up: {r}\n");
@@ -87,29 +80,14 @@ fn to_text(f: &Findings) -> String {
     if !f.findings.is_empty() {
         t += "\nof a unit whose health nobody vouches for\n";
         for x in &f.findings {
-            t += &format!(
-                "  {:12} {:>12.5} {:8} 95 % {:.5} to {:.5}   {}\n",
-                x.name,
-                Short(x.value),
-                x.unit,
-                Short(x.lo),
-                Short(x.hi),
-                x.meaning
-            );
+            t += &(row(12, 8, &x.name, &x.unit, [x.value, x.lo, x.hi]) + &format!("   {}\n", x.meaning));
         }
     }
     if f.effects.is_empty() && f.verdict != "none" || !f.effects.is_empty() {
         t += "\nconstants\n";
         for p in &f.retuned {
             let nominal = p.nominal.map_or(String::new(), |n| format!(" (was {:.5})", Short(n)));
-            t += &format!(
-                "  {:16} {:>12.5} {:12} 95 % {:.5} to {:.5}{nominal}\n",
-                p.name,
-                Short(p.value),
-                p.unit,
-                Short(p.lo),
-                Short(p.hi)
-            );
+            t += &(row(16, 12, &p.name, &p.unit, [p.value, p.lo, p.hi]) + &nominal + "\n");
         }
     }
     if !f.by_channel.is_empty() {
@@ -153,6 +131,15 @@ fn to_text(f: &Findings) -> String {
         t += &format!("\nnext: {c}\n  {}\n", f.next_reason);
     }
     t
+}
+
+/// A value with its unit and 95 % interval, in columns.
+///
+/// * `wide`, `unit_wide` of name and unit, in characters
+/// * `number` value, lower and upper end
+fn row(wide: usize, unit_wide: usize, name: &str, unit: &str, number: [f64; 3]) -> String {
+    let [value, lo, hi] = number.map(Short);
+    format!("  {name:wide$} {value:>12.5} {unit:unit_wide$} 95 % {lo:.5} to {hi:.5}")
 }
 
 /// A number with some significant digits.

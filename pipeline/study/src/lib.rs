@@ -3,7 +3,7 @@
 //!
 //! Floors, each importing only those below it: [`told`] (findings, words, files), [`search`] (fit, selection,
 //! proof, intervals), [`candidates`] (effects driven by what was measured), [`equations`] (what the channels
-//! must satisfy), [`measured`] (bench files, recordings, their clocks and noise).
+//! must satisfy), [`measured`] (bench files, recordings, their clocks, noise and filters).
 
 pub mod candidates;
 pub mod equations;

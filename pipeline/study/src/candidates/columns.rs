@@ -1,61 +1,17 @@
 //! The candidate effects driven by measured signals: for given shape parameters, what each would
 //! add to the equations. The equations themselves stand in `sim_worker::effect`.
 
-use crate::equations::signals::{Phases, SUPPLY, Signals, shifted};
-use sim_worker::effect::{self, Constants, Effect, EffectKind, Equation};
+use crate::candidates::phases::of_phases;
+use crate::equations::pieces::{Column, Piece, RigConstants};
+use crate::equations::signals::{Signals, shifted};
+use sim_worker::effect::{self, Effect, EffectKind, Equation};
 use std::f64::consts::{FRAC_PI_2, TAU};
-
-/// A signal in an equation, to be filtered (0), or filtered and differentiated once or twice. Of the kinematic
-/// equation, 0 is what stands in the measured angle, 1 what stands in the measured speed.
-pub struct Piece {
-    pub equation: Equation,
-    pub order: usize,
-    pub signal: Vec<f64>,
-    /// of a phase alone, where the electrical equation is one of each phase
-    pub phase: Option<usize>,
-}
-
-/// What one amplitude multiplies.
-pub type Column = Vec<Piece>;
 
 /// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
 #[derive(Default)]
 pub struct Contribution {
     pub fixed: Column,
     pub linear: Vec<Column>,
-}
-
-/// Constants of the rig that the candidates refer to.
-#[derive(Clone, Copy, Debug)]
-pub struct RigConstants {
-    pub effect: Constants,
-    pub inertia: f64,
-    pub back_emf: f64,
-    pub supply_voltage: f64,
-    /// the drive channel is a measured current
-    pub measured_current: bool,
-    /// the drive channel goes through a motor, rather than being torque or force itself
-    pub motor: bool,
-    /// speed and acceleration come from the position
-    pub from_position: bool,
-    /// error of the angle sensor as far as it is known: amplitudes of sine and cosine [rad]
-    pub encoder: (f64, f64),
-    /// of the controller's law [drive unit per rad/s]
-    pub speed_gain: f64,
-}
-
-impl RigConstants {
-    /// The true angle, by fixed-point iteration.
-    fn true_angle(&self, measured: f64) -> f64 {
-        let (a, b) = self.encoder;
-        let mut t = measured;
-        if a != 0.0 || b != 0.0 {
-            for _ in 0..4 {
-                t = measured - (a * t.sin() + b * t.cos());
-            }
-        }
-        t
-    }
 }
 
 /// An amplitude at which saturation is linear in it [1/A].
@@ -230,141 +186,6 @@ fn encoder(s: &Signals, c: &RigConstants, f: fn(f64) -> f64) -> Column {
         add(Equation::Controller, 2, times(c.speed_gain));
     }
     column
-}
-
-/// What the phases make of an effect that changes their constants: amplitudes' columns of torque and phase voltages.
-///
-/// * `share` of phase `q` at an angle, of its torque and back-EMF constant
-fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) -> f64) -> Column {
-    let ke = 0.5 * c.effect.torque_constant;
-    let mut torque = vec![0.0; s.n];
-    let mut column = Vec::new();
-    for q in 0..3 {
-        let shape = p.mean_over_support(s, q, |theta, trap| trap * share(q, theta));
-        for k in 0..s.n {
-            // what the phase gives is not asked of the drive
-            torque[k] -= ke * p.current[q][k] * shape[k];
-        }
-        if p.voltage.is_some() {
-            let whole = p.mean(s, |theta| {
-                effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64) * share(q, theta)
-            });
-            let signal = (0..s.n).map(|k| ke * s.omega[k] * whole[k]).collect();
-            column.push(Piece {
-                equation: Equation::Electrical,
-                order: 0,
-                signal,
-                phase: Some(q),
-            });
-        }
-    }
-    column.push(Piece {
-        equation: Equation::Torque,
-        order: 0,
-        signal: torque,
-        phase: None,
-    });
-    column
-}
-
-/// As [`contribution`], of effects that the phases tell apart; `None` for all others.
-fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants) -> Option<Vec<Column>> {
-    let p = s.phases.as_ref()?;
-    let voltages = |f: &dyn Fn(usize, usize) -> f64| -> Column {
-        (0..3)
-            .map(|q| Piece {
-                equation: Equation::Electrical,
-                order: 0,
-                signal: (0..s.n).map(|k| f(q, k)).collect(),
-                phase: Some(q),
-            })
-            .collect()
-    };
-    let (r, l, ke) = (
-        0.5 * c.effect.resistance,
-        0.5 * c.effect.inductance,
-        0.5 * c.effect.torque_constant,
-    );
-    Some(match kind {
-        EffectKind::Eccentricity => {
-            let at = |q: usize, theta: f64| theta + TAU / 3.0 * q as f64;
-            vec![
-                phased(s, p, c, |q, t| at(q, t).cos()),
-                phased(s, p, c, |q, t| -at(q, t).sin()),
-            ]
-        }
-        EffectKind::TorqueRipple => vec![
-            phased(s, p, c, |_, t| (shape[0] * t).cos()),
-            phased(s, p, c, |_, t| -(shape[0] * t).sin()),
-        ],
-        EffectKind::TurnShort => {
-            let short = shape[0] as usize;
-            let mut column = phased(s, p, c, |q, _| if q == short { -1.0 } else { 0.0 });
-            if p.voltage.is_some() {
-                for (order, factor) in [(0, -r), (1, -l)] {
-                    column.push(Piece {
-                        equation: Equation::Electrical,
-                        order,
-                        signal: p.current[short].iter().map(|i| factor * i).collect(),
-                        phase: Some(short),
-                    });
-                }
-            }
-            vec![column]
-        }
-        EffectKind::DeadTime if p.voltage.is_some() => {
-            // half of it in each of the two legs that conduct
-            vec![voltages(&|q, k| 0.5 * (p.current[q][k] / 0.05).tanh())]
-        }
-        EffectKind::SupplySag if p.supply.is_some() && p.voltage.is_some() => {
-            let (v, dc) = (p.voltage.as_ref()?, p.supply.as_ref()?);
-            let draw = |k: usize| (0..3).map(|q| v[q][k] * p.current[q][k]).sum::<f64>() / dc[k].max(1.0);
-            vec![vec![Piece {
-                equation: Equation::Electrical,
-                order: 0,
-                signal: (0..s.n).map(|k| -draw(k)).collect(),
-                phase: Some(SUPPLY),
-            }]]
-        }
-        EffectKind::WindingHeating if p.voltage.is_some() && s.temperature.is_none() => {
-            // a winding that is warm from the beginning on
-            vec![voltages(&|q, k| r * effect::COPPER_PER_K * p.current[q][k])]
-        }
-        EffectKind::CurrentGain if p.voltage.is_some() => {
-            let mut column = voltages(&|q, k| -r * p.current[q][k]);
-            column.push(Piece {
-                equation: Equation::Torque,
-                order: 0,
-                signal: s.drive.iter().map(|i| c.effect.torque_constant * i).collect(),
-                phase: None,
-            });
-            vec![column]
-        }
-        EffectKind::CurrentOffset => {
-            let q = shape[0] as usize;
-            let mut column: Column = vec![Piece {
-                equation: Equation::Torque,
-                order: 0,
-                signal: p.mean_over_support(s, q, |_, trap| ke * trap),
-                phase: None,
-            }];
-            if p.voltage.is_some() {
-                column.push(Piece {
-                    equation: Equation::Electrical,
-                    order: 0,
-                    signal: vec![-r; s.n],
-                    phase: Some(q),
-                });
-            }
-            vec![column]
-        }
-        EffectKind::SupplySag | EffectKind::DeadTime | EffectKind::WindingHeating | EffectKind::CurrentGain => {
-            Vec::new()
-        }
-        // in currents that are measured there is nothing of the angle that they were commutated by
-        EffectKind::CommutationOffset => Vec::new(),
-        _ => return None,
-    })
 }
 
 /// What `kind` with the shape parameters `shape` would add; empty where the channels it needs are not there.

@@ -1,2 +1,3 @@
 pub mod columns;
+pub mod phases;
 pub mod shapes;

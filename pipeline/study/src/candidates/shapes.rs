@@ -1,14 +1,15 @@
 //! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
 
-use crate::candidates::columns::RigConstants;
+use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
+use crate::measured::recording::extent;
 use sim_worker::effect::EffectKind;
 use std::f64::consts::TAU;
 
 /// Shapes to start from for a kind, over the range of the signals of the fit runs.
 pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
     let all = |f: fn(&Signals) -> &Vec<f64>| runs.iter().flat_map(move |r| f(r).iter().copied());
-    let (low, high) = all(|s| &s.theta).fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+    let (low, high) = extent(all(|s| &s.theta));
     let fastest = all(|s| &s.omega).fold(0.0, |a: f64, x| a.max(x.abs()));
     let stroke = high - low;
     let log = |from: f64, to: f64, n: usize| -> Vec<f64> {
@@ -142,8 +143,7 @@ pub fn scales(kind: EffectKind) -> &'static [Option<bool>] {
 /// Physical limits of the shape parameters, over those of the effect's keys.
 pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
     let fastest = runs.iter().flat_map(|r| &r.omega).fold(0.0, |a: f64, x| a.max(x.abs()));
-    let all = runs.iter().flat_map(|r| &r.theta);
-    let (low, high) = all.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    let (low, high) = extent(runs.iter().flat_map(|r| &r.theta).copied());
     let stroke = high - low;
     match kind {
         EffectKind::Stribeck => vec![(1e-4 * fastest, 0.7 * fastest), (0.8, 2.2)],

@@ -1,4 +1,7 @@
-pub mod filter;
+pub mod floors;
+pub mod mechanics;
+pub mod nuisances;
+pub mod pieces;
 pub mod problem;
 pub mod signals;
 pub mod whitener;

@@ -1,41 +1,20 @@
 //! The equations of a bench as rows of a least-squares problem: filtered, thinned out, masked where
 //! they do not hold, and divided by what the sensors' noise leaves in them.
 
-use crate::candidates::columns::{Column, Piece, RigConstants};
-use crate::equations::filter::FilterBank;
+use crate::equations::floors::floors;
+use crate::equations::mechanics::{Mechanics, mechanics};
+use crate::equations::nuisances::{Nuisance, SENSOR_OFFSET_OF_RANGE};
+use crate::equations::pieces::{Column, Piece};
 use crate::equations::signals::{Clock, NoiseTable, SUPPLY, Signals};
-use crate::equations::whitener::{Design, Rows, Whitener};
-use crate::measured::bench::{Bench, BenchChannel, Known};
-use crate::measured::recording::Run;
-use sim_worker::effect::{self, Constants, Equation, Play};
+use crate::equations::whitener::Rows;
+use crate::measured::bench::{Bench, BenchChannel};
+use crate::measured::filter::FilterBank;
+use crate::measured::recording::{Run, extent, range};
+use sim_worker::effect::{self, Equation, Play};
 use std::ops::Range;
 
-/// Uncertainty of what is never perfect in sensors, one sigma (assumed): gain, offset over noise,
-/// clock between channels over the sample.
-const SENSOR_GAIN: f64 = 0.006;
-const SENSOR_OFFSET: f64 = 0.1;
-/// Offset of a current sensor over the range it saw, one sigma (assumed).
-const SENSOR_OFFSET_OF_RANGE: f64 = 0.002;
-const SENSOR_CLOCK: f64 = 0.15;
-/// Offset of a voltage over its noise, one sigma (assumed): amplifiers drift more than current sensors.
-const VOLTAGE_OFFSET: f64 = 0.4;
 /// Mains frequencies looked for [Hz].
 pub const MAINS_HZ: [f64; 3] = [50.0, 60.0, 400.0];
-
-/// A nuisance parameter of the whole study.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Nuisance {
-    pub name: &'static str,
-    /// one sigma of its relative deviation; `None` = free
-    pub trust: Option<f64>,
-    /// where the prior has its middle: 0, or elsewhere once the equations stand around a better value
-    pub centre: f64,
-    /// value that the deviation is relative to, SI at the motor
-    pub nominal: f64,
-    pub unit: &'static str,
-    /// a property of the machine rather than of its sensors
-    pub of_machine: bool,
-}
 
 /// Rows of one equation of one run.
 #[derive(Clone, Debug)]
@@ -80,8 +59,6 @@ pub struct Problem {
     pub regressor_noise: [f64; 5],
     /// variances of a row of the electrical equation that the current's noise makes, by resistance and inductance
     current_noise: (f64, f64),
-    /// what the measured motion alone makes of the torque's rows: those of -J dw/dt
-    pub motion: Vec<f64>,
     pub clock: Clock,
     bank: FilterBank,
     mechanics: Mechanics,
@@ -93,8 +70,6 @@ pub struct Problem {
 
 /// What a supply's voltage does by itself over a row [V] (assumed).
 const SUPPLY_NOISE_V: f64 = 0.02;
-/// Share of an angle sensor's grain that is always left of it (assumed).
-const STANDING_GRAIN: f64 = 0.25;
 /// Length of a row of the electrical equation [s], and its fewest samples (assumed): means over it leave little of
 /// the noise, and the current's change over it is known by its ends.
 const WINDOW_S: f64 = 0.006;
@@ -107,255 +82,6 @@ fn over(x: &[f64], order: usize, k: usize, window: usize, rate_hz: f64) -> f64 {
     }
     let end = |k: usize| 0.5 * (x[k] + x[(k + 1).min(x.len() - 1)]);
     (end(k) - end(k - window)) * rate_hz / window as f64
-}
-
-/// How the rows of the torque equation are made.
-enum Mechanics {
-    /// samples are means at one speed each
-    Steady,
-    Moving(Box<Whitener>),
-}
-
-impl Mechanics {
-    fn rows(&self, torque: Option<&[f64]>, position: Option<&[f64]>, velocity: Option<&[f64]>, s: &Signals) -> Rows {
-        match self {
-            Self::Steady => [torque.map_or_else(|| vec![0.0; s.n], <[f64]>::to_vec), vec![0.0; s.n]],
-            Self::Moving(w) => w.rows(torque, position, velocity, &s.resting),
-        }
-    }
-
-    fn samples(&self, s: &Signals) -> Vec<usize> {
-        match self {
-            Self::Steady => (0..s.n).collect(),
-            Self::Moving(w) => w.samples(&s.resting),
-        }
-    }
-
-    fn group(&self) -> usize {
-        match self {
-            Self::Steady => 1,
-            Self::Moving(w) => w.group(),
-        }
-    }
-}
-
-/// Rows of all runs together beyond which samples are taken together.
-const MOST_ROWS: usize = 16_000;
-/// Share of the way that the torque makes in a sample by which the angle at its end is off (assumed).
-const UNEVEN: f64 = 0.02;
-/// Most samples in a grain of an angle sensor that count.
-const LONGEST_GRAIN: f64 = 30.0;
-/// No torque is known better than this share of its rms (assumed).
-const BEST_TORQUE: f64 = 2e-4;
-
-/// The filter of the mechanics, and the share of its torque noise that is the sensor's.
-///
-/// * `excess` torque that the model does not have, noise to what is still looked for; `between` what the drive does
-///   between its samples, rms [N m]
-fn mechanics(
-    bench: &Bench,
-    runs: &[&Run],
-    clock: &Clock,
-    noise: &NoiseTable,
-    (excess, between): (f64, f64),
-) -> (Mechanics, f64) {
-    use BenchChannel as C;
-    if clock.steady {
-        return (Mechanics::Steady, 0.0);
-    }
-    let rig = &bench.rig;
-    let has = |c: C| runs.iter().all(|r| r.channel(c).is_some());
-    // while an angle sensor stays within a grain its error is one error, not many
-    let held = |c: C| -> f64 {
-        let (Some(spec), false) = (bench.channel(c), has(C::Velocity) && c != C::Position) else {
-            return 1.0;
-        };
-        let white = noise.get(&c).map_or(0.0, |n| n.rms);
-        if spec.resolution <= 0.0 || white > 0.6 * spec.resolution {
-            return 1.0;
-        }
-        let (mut sum, mut count) = (0.0, 0.0);
-        for x in runs.iter().filter_map(|r| r.channel(c)) {
-            for w in x.windows(17).step_by(8) {
-                let step = (w[16] - w[0]).abs() / 16.0;
-                if step > 0.0 {
-                    sum += (spec.resolution / step).clamp(1.0, LONGEST_GRAIN);
-                    count += 1.0;
-                }
-            }
-        }
-        f64::sqrt(sum / f64::max(count, 1.0)).max(1.0)
-    };
-    let of = |c: C| {
-        let (rms, range) = (noise.get(&c).map_or(0.0, |n| n.slow_rms()), range(runs, c));
-        ((rms * held(c)).max(1e-7 * range).max(1e-15), clock.lateness(bench, c).1)
-    };
-    let sensor = rig.drive_constant.value.abs() * noise.get(&rig.drive).map_or(0.0, |n| n.slow_rms());
-    let load = noise.get(&C::Load).map_or(0.0, |n| n.slow_rms());
-    let (mut sum, mut count) = (0.0, 0.0);
-    for x in runs.iter().filter_map(|r| r.channel(rig.drive)) {
-        sum += x.iter().map(|u| u * u).sum::<f64>();
-        count += x.len() as f64;
-    }
-    let usual = rig.drive_constant.value.abs() * (sum / f64::max(count, 1.0)).sqrt();
-    let least = BEST_TORQUE * usual;
-    let total = (sensor * sensor + between * between + load * load + least * least + excess * excess)
-        .sqrt()
-        .max(1e-300);
-    let samples: usize = runs.iter().map(|r| r.samples).sum();
-    let dt = 1.0 / clock.rate_hz;
-    // within a sample the torque is not even: the angle at its end is known less well than its sensor is
-    let uneven = UNEVEN * dt * dt * usual / rig.inertia.value.max(1e-15);
-    let position = has(C::Position).then(|| {
-        let (rms, late) = of(C::Position);
-        (rms.hypot(uneven), late)
-    });
-    let design = Design {
-        dt,
-        inertia: rig.inertia.value.max(1e-15),
-        torque_noise: total,
-        lost_torque: usual,
-        position,
-        velocity: has(C::Velocity).then(|| of(C::Velocity)),
-        group: samples.div_ceil(MOST_ROWS),
-    };
-    (
-        Mechanics::Moving(Box::new(Whitener::new(design))),
-        (sensor / total).powi(2),
-    )
-}
-
-/// From the least to the greatest value of a channel.
-fn range(runs: &[&Run], c: BenchChannel) -> f64 {
-    let all = runs.iter().filter_map(|r| r.channel(c)).flatten();
-    let (low, high) = all.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
-    (high - low).max(0.0)
-}
-
-/// The rig's constants as the equations use them.
-pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
-    let rig = &bench.rig;
-    RigConstants {
-        effect: Constants {
-            torque_constant: rig.drive_constant.value,
-            coulomb: rig.coulomb.value,
-            viscous: rig.viscous.value,
-            resistance: rig.resistance.value,
-            inductance: rig.inductance.value,
-            pole_pairs: rig.pole_pairs,
-        },
-        inertia: rig.inertia.value,
-        back_emf: rig.back_emf.value,
-        supply_voltage: rig.supply_voltage,
-        measured_current: rig.drive == BenchChannel::Current,
-        motor: matches!(rig.drive, BenchChannel::Current | BenchChannel::Voltage),
-        from_position: clock.from_position,
-        encoder: (0.0, 0.0),
-        speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
-    }
-}
-
-/// The nuisance parameters of a bench: the machine's, then the sensors'.
-pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[Equation]) -> Vec<Nuisance> {
-    let rig = &bench.rig;
-    let machine = |name, k: &Known, unit| Nuisance {
-        name,
-        trust: k.trust,
-        centre: 0.0,
-        nominal: k.value,
-        unit,
-        of_machine: true,
-    };
-    let sensor = |name, sigma: f64, unit| Nuisance {
-        name,
-        trust: Some(sigma),
-        centre: 0.0,
-        nominal: 1.0,
-        unit,
-        of_machine: false,
-    };
-    let noise_of = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
-    let has = |e: Equation| equations.contains(&e);
-    let mut out = vec![
-        machine("inertia", &rig.inertia, "kg m2"),
-        machine("viscous", &rig.viscous, "N m s/rad"),
-        machine("coulomb", &rig.coulomb, "N m"),
-        machine("torque_constant", &rig.drive_constant, "N m/A"),
-    ];
-    if rig.offset != 0.0 {
-        let offset = Known {
-            value: rig.offset,
-            trust: None,
-        };
-        out.push(machine("offset", &offset, "N m"));
-    }
-    // a command that its drive follows late has an effect of its own for it, where the law is known
-    if rig.drive == BenchChannel::Current || rig.controller.is_none() {
-        out.push(sensor("drive_clock", SENSOR_CLOCK, "sample"));
-    }
-    let spec = bench.channel(rig.drive);
-    let offset = spec.and_then(|s| s.offset).unwrap_or_else(|| {
-        let of_range = SENSOR_OFFSET_OF_RANGE * range(&runs.iter().collect::<Vec<_>>(), rig.drive);
-        (SENSOR_OFFSET * noise_of(rig.drive)).max(of_range)
-    });
-    if offset > 0.0 && !runs.iter().any(|r| r.steady) {
-        out.push(sensor("drive_offset", offset, rig.drive.quantity().si()));
-    }
-    if has(Equation::Electrical) {
-        out.push(machine("resistance", &rig.resistance, "ohm"));
-        out.push(machine("inductance", &rig.inductance, "H"));
-        // gains of six sensors are as good as none: scale is what the machine's own constants say
-        let gain = if bench.has_phases() { 1e-4 } else { SENSOR_GAIN };
-        out.push(sensor("drive_gain", gain, "-"));
-        out.push(sensor(
-            "voltage_offset",
-            VOLTAGE_OFFSET * noise_of(BenchChannel::Voltage),
-            "V",
-        ));
-        out.push(sensor("voltage_gain", gain, "-"));
-        out.push(sensor("voltage_clock", SENSOR_CLOCK, "sample"));
-    }
-    if has(Equation::Transmission) && rig.play > 0.0 {
-        let play = Known {
-            value: rig.play,
-            trust: Some(1.0),
-        };
-        out.push(machine("play", &play, "rad"));
-    }
-    if has(Equation::Transmission) {
-        out.push(sensor("user_clock", SENSOR_CLOCK, "sample"));
-    }
-    if has(Equation::Kinematic) {
-        out.push(sensor("velocity_gain", SENSOR_GAIN, "-"));
-        out.push(sensor("velocity_offset", noise_of(BenchChannel::Velocity), "rad/s"));
-        out.push(sensor("velocity_clock", SENSOR_CLOCK, "sample"));
-    }
-    if has(Equation::Controller) {
-        out.push(sensor("law_gain", 0.05, "-"));
-        out.push(sensor("law_clock", 0.1, "sample"));
-    }
-    out
-}
-
-/// Which equations the channels of all runs open.
-pub fn equations(bench: &Bench, runs: &[Run]) -> Vec<Equation> {
-    let has = |c: BenchChannel| runs.iter().all(|r| r.channel(c).is_some());
-    let current = bench.rig.drive == BenchChannel::Current;
-    let mut out = vec![Equation::Torque];
-    let phases = bench.has_phases() && BenchChannel::VOLTAGES.iter().all(|c| has(*c));
-    if current && (has(BenchChannel::Voltage) || phases) {
-        out.push(Equation::Electrical);
-    }
-    if has(BenchChannel::Position) && has(BenchChannel::UserPosition) {
-        out.push(Equation::Transmission);
-    }
-    if has(BenchChannel::Position) && has(BenchChannel::Velocity) {
-        out.push(Equation::Kinematic);
-    }
-    if bench.rig.controller.is_some() && has(BenchChannel::Command) && current {
-        out.push(Equation::Controller);
-    }
-    out
 }
 
 impl Problem {
@@ -412,7 +138,7 @@ impl Problem {
                 // three phases and the supply: rows of one window follow each other
                 let samples = match (&s.phases, equation) {
                     (Some(p), Equation::Electrical) => {
-                        let each = 3 + usize::from(p.supply.is_some());
+                        let each = p.rows();
                         samples.iter().flat_map(|&k| std::iter::repeat_n(k, each)).collect()
                     }
                     _ => samples,
@@ -473,7 +199,6 @@ impl Problem {
                 let (r, l) = (of * bench.rig.resistance.value, of * bench.rig.inductance.value);
                 ((r * rms).powi(2) / samples, (l * rms / seconds).powi(2))
             },
-            motion: vec![0.0; rows],
             clock: clock.clone(),
             bank,
             mechanics,
@@ -497,7 +222,6 @@ impl Problem {
         let mut offsets = Vec::new();
         let mut supplies = Vec::new();
         let mut drive = vec![0.0; self.rows];
-        let mut motion = vec![0.0; self.rows];
         let wide = |x: f64| if x > 0.0 { x } else { 1.0 };
         let place = |name: &str| nuisances.iter().position(|n| n.name == name);
         for (r, (s, run)) in self.signals.iter().zip(runs).enumerate() {
@@ -520,15 +244,13 @@ impl Problem {
             let net = each(&|k| kt * s.drive[k] - s.load[k] - b0 * s.omega[k] - tc * s.sign[k] - rig.offset);
             let seen = self.mechanics.rows(None, position.as_deref(), velocity.as_deref(), s);
             let expected = torque(&net);
-            put(&mut motion, &seen, 1.0);
-            put(&mut y, &expected, 1.0);
-            if !self.clock.steady {
-                for b in targets.into_iter().flatten() {
-                    for row in b.rows.clone() {
-                        y[row] += motion[row];
-                    }
-                }
-            }
+            // the torque that is expected to be left for J dw/dt, and what the motion makes of it
+            let left: Rows = if self.clock.steady {
+                expected.clone()
+            } else {
+                std::array::from_fn(|i| expected[i].iter().zip(&seen[i]).map(|(e, s)| e + s).collect())
+            };
+            put(&mut y, &left, 1.0);
             let push = torque(&each(&|k| kt * s.drive[k]));
             put(&mut drive, &push, 1.0);
             let mut column = |name: &str, rows: &dyn Fn() -> Rows, factor: f64| {
@@ -580,7 +302,7 @@ impl Problem {
                 Equation::Torque | Equation::Kinematic => {}
                 Equation::Electrical if s.phases.is_some() => {
                     let p = s.phases.as_ref().expect("checked");
-                    let each = 3 + usize::from(p.supply.is_some());
+                    let each = p.rows();
                     let (r, l, ke) = (0.5 * r0, 0.5 * l0, 0.5 * ke);
                     let volts = p.voltage.as_ref().expect("the equation is open");
                     let over = |x: &[f64], order: usize, k: usize| over(x, order, k, self.window, s.rate_hz);
@@ -631,7 +353,6 @@ impl Problem {
                     column("resistance", &|i| r0 * i_[i]);
                     column("inductance", &|i| wide(l0) * di[i]);
                     column("torque_constant", &|i| ke * w[i]);
-                    column("back_emf", &|i| ke * w[i]);
                     column("voltage_offset", &|_| 1.0);
                     column("voltage_gain", &|i| r0 * i_[i] + l0 * di[i] + ke * w[i]);
                     column("voltage_clock", &|i| dv[i] * dt);
@@ -664,7 +385,6 @@ impl Problem {
                 }
             }
         }
-        self.motion = motion;
         self.y = y;
         self.drive = drive;
         self.base = base;
@@ -767,7 +487,7 @@ impl Problem {
             }
             for piece in pieces[block.run].iter().filter(|p| p.equation == block.equation) {
                 if let (Equation::Electrical, Some(p)) = (block.equation, &self.signals[block.run].phases) {
-                    let each = 3 + usize::from(p.supply.is_some());
+                    let each = p.rows();
                     let Some(q) = piece.phase.filter(|q| *q < each) else {
                         continue;
                     };
@@ -859,6 +579,16 @@ impl Problem {
             }
             self.add_local(c, None);
         }
+    }
+
+    /// Least and greatest angle of all runs [rad].
+    pub fn travel(&self) -> (f64, f64) {
+        extent(self.signals.iter().flat_map(|s| &s.theta).copied())
+    }
+
+    /// rms of the rows of an equation whose energy is given.
+    pub fn rms(&self, e: Equation, energy: &[f64; 5]) -> f64 {
+        (energy[e.index()] / self.rows_of(e).max(1) as f64).sqrt()
     }
 
     /// Rows of an equation.
@@ -968,64 +698,4 @@ fn autocorrelation(bank: &FilterBank, lag: usize) -> f64 {
         .collect();
     let sum = |d: usize| -> f64 { h.iter().zip(&h[d.min(h.len())..]).map(|(a, b)| a * b).sum() };
     sum(lag) / sum(0)
-}
-
-/// rms that the sensors' noise leaves in each equation.
-fn floors(bench: &Bench, clock: &Clock, noise: &NoiseTable, bank: &FilterBank, window: usize) -> [f64; 5] {
-    use BenchChannel as C;
-    let rig = &bench.rig;
-    // rms that a channel's noise leaves behind a filter
-    let left = |c: C, order: usize| -> f64 {
-        noise
-            .get(&c)
-            .map_or(0.0, |n| n.rms * bank.order[order].noise_gain_of(n.colour))
-    };
-    let (speed, accel) = if clock.from_position {
-        (left(C::Position, 1), left(C::Position, 2))
-    } else {
-        (left(C::Velocity, 0), left(C::Velocity, 1))
-    };
-    let grain = |c: C| bench.channel(c).map_or(0.0, |s| s.resolution);
-    let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-300);
-    let kt = rig.drive_constant.value;
-    let law = rig.controller.as_ref().map_or(0.0, |l| l.speed_gain);
-    Equation::ALL.map(|e| match e {
-        Equation::Torque => norm(&[
-            kt * left(rig.drive, 0),
-            rig.inertia.value * accel,
-            rig.viscous.value * speed,
-            left(C::Load, 0),
-        ]),
-        Equation::Electrical => {
-            let rms = |c: C| noise.get(&c).map_or(0.0, |n| n.slow_rms());
-            let (share, seconds) = (1.0 / (window as f64).sqrt(), window as f64 / clock.rate_hz);
-            let speed = match (clock.from_position, clock.steady) {
-                (true, _) => 2f64.sqrt() * rms(C::Position) / seconds,
-                (false, _) => rms(C::Velocity) * share,
-            };
-            if bench.has_phases() {
-                let (i, v) = (rms(C::CurrentA), rms(C::VoltageA));
-                let (r, l, ke) = (
-                    0.5 * rig.resistance.value,
-                    0.5 * rig.inductance.value,
-                    0.5 * rig.back_emf.value,
-                );
-                return norm(&[v * share, r * i * share, l * i / seconds, ke * speed]);
-            }
-            norm(&[
-                rms(C::Voltage) * share,
-                rig.resistance.value * rms(rig.drive) * share,
-                // the mean of two samples at each end
-                rig.inductance.value * rms(rig.drive) / seconds,
-                rig.back_emf.value * speed,
-            ])
-        }
-        // the grain of an angle sensor does not average out where it stands
-        Equation::Transmission => norm(&[
-            left(C::UserPosition, 0).max(STANDING_GRAIN * grain(C::UserPosition)),
-            left(C::Position, 0).max(STANDING_GRAIN * grain(C::Position)),
-        ]),
-        Equation::Kinematic => norm(&[left(C::Velocity, 0), left(C::Position, 1)]),
-        Equation::Controller => norm(&[left(rig.drive, 1), law * clock.speed_noise * bank.order[1].noise_gain()]),
-    })
 }

@@ -1,8 +1,8 @@
 //! The motion of a run as the equations need it: smoothed angle and speed on one clock, the sign of
 //! the motion averaged over each sample, and the other channels brought to the same moment.
 
-use crate::equations::filter::FilterBank;
 use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
+use crate::measured::filter::FilterBank;
 use crate::measured::recording::{self, ChannelNoise, Run};
 use std::collections::BTreeMap;
 
@@ -67,7 +67,7 @@ pub struct Signals {
     pub resting: Vec<bool>,
     /// in a gap of the clock; empty where there is none
     pub lost: Vec<bool>,
-    /// the drive signal steps here; empty where it never does
+    /// the drive signal steps here
     pub stepping: Vec<bool>,
     /// the drive channel as measured, on the common clock
     pub drive: Vec<f64>,
@@ -126,6 +126,11 @@ impl Phases {
         })
     }
 
+    /// Rows of a window in the electrical equation: three phases, and the supply where it is measured.
+    pub fn rows(&self) -> usize {
+        3 + usize::from(self.supply.is_some())
+    }
+
     fn way(&self, s: &Signals, k: usize) -> (f64, f64) {
         let half = 0.5 * s.omega[k] / s.rate_hz;
         (s.theta[k] - half, s.theta[k] + half)
@@ -170,7 +175,7 @@ pub fn shifted(x: &[f64], shift: f64) -> Vec<f64> {
 
 impl Clock {
     /// * `inertia` J [kg m2], `drive_constant` torque of a drive unit
-    pub fn new(bench: &Bench, runs: &[Run], noise: &NoiseTable) -> Self {
+    pub fn new(bench: &Bench, runs: &[&Run], noise: &NoiseTable) -> Self {
         let rate_hz = runs[0].rate_hz;
         if runs[0].steady {
             return Self {
@@ -354,8 +359,7 @@ impl Signals {
         }
         let position = at(BenchChannel::Position).unwrap_or_else(|| theta.clone());
         let (sign, mut resting) = directions(&omega, AT_REST * clock.speed_noise, (PAUSE_S * rate_hz) as usize);
-        // what lies in a gap of the clock is nothing that was measured
-        // nor are its neighbours, as far as the smoother reaches and until the filter has found the motion again
+        // what lies in a gap of the clock is nothing that was measured; its neighbours are left out too, as far as the smoother reaches and until the filter has found the motion again
         for k in (0..run.lost.len()).filter(|&k| run.lost[k]) {
             resting[k.saturating_sub(AROUND_GAP)..(k + AROUND_GAP).min(run.samples)].fill(true);
         }
@@ -519,7 +523,7 @@ fn transients(x: &[f64]) -> Vec<usize> {
     }
     let middle = steps.len() / 2;
     let usual = *steps.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745;
-    let (low, high) = x.iter().fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    let (low, high) = recording::extent(x.iter().copied());
     let most = (TRANSIENT * usual).max(0.02 * (high - low));
     let found: Vec<usize> = (1..x.len()).filter(|&k| (x[k] - x[k - 1]).abs() > most).collect();
     if found.len() as f64 > MOST_TRANSIENT * x.len() as f64 {
@@ -544,20 +548,8 @@ pub fn swing(bench: &Bench, runs: &[Run]) -> f64 {
     if bench.channel(c).is_none_or(|s| s.mean) {
         return 0.0;
     }
-    let mut all: Vec<f64> = runs
-        .iter()
-        .filter(|r| !r.steady)
-        .filter_map(|r| r.channel(c))
-        .flat_map(|x| {
-            x.windows(5)
-                .map(|w| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).abs())
-        })
-        .collect();
-    if all.is_empty() {
-        return 0.0;
-    }
-    let middle = all.len() / 2;
-    let usual = *all.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745 / 70f64.sqrt();
+    let moving = runs.iter().filter(|r| !r.steady);
+    let usual = recording::roughness(moving.filter_map(|r| r.channel(c))).unwrap_or(0.0);
     bench.rig.drive_constant.value.abs() * usual
 }
 

@@ -1,5 +1,6 @@
 //! `BENCH.toml`: what was measured, on which rig, and how far each is trusted.
 
+use crate::measured::own;
 use crate::measured::units::Quantity;
 use schemas::error::{Error, Result};
 use schemas::toml_section::{self, Section};
@@ -240,11 +241,6 @@ pub struct Bench {
     pub runs: Vec<RunSpec>,
 }
 
-/// Length of the pieces of a recording that is a bench by itself [s] (assumed): each of its motions has its share in what
-/// finds and in what proves. And the shortest that may prove anything.
-const PIECE_S: f64 = 0.43;
-const SHORTEST_S: f64 = 5.0;
-
 const NOT_BELOW: &str = "a finite number of at least 0";
 const UP: &str = "a finite number above 0";
 
@@ -284,6 +280,11 @@ fn known(s: &mut Section, key: &str, q: Quantity, lead: Option<f64>, default: Op
     }))
 }
 
+/// Whether a file is a recording of telemetry rather than a bench file, by its name.
+pub fn is_recording(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == "parquet" || e == "csv")
+}
+
 impl Bench {
     /// A bench file, or recordings of the project's own, which are a bench by themselves. Without an actuator, a bench
     /// file speaks for itself; recordings of our own telemetry are taken for the reference actuator's.
@@ -294,7 +295,6 @@ impl Bench {
     /// As [`Bench::read`]; refuses recordings that cannot be read or do not have the same columns, and bench files
     /// beside others.
     pub fn open(paths: &[PathBuf], actuator: Option<&ActuatorParameters>, healthy: bool) -> Result<Self> {
-        let recording = |p: &PathBuf| p.extension().is_some_and(|e| e == "parquet" || e == "csv");
         let mut bench = match paths {
             [] => {
                 return Err(Error::bad(
@@ -304,78 +304,22 @@ impl Bench {
                     "a bench file, or recordings",
                 ));
             }
-            [one] if !recording(one) => Self::read(one, actuator)?,
+            [one] if !is_recording(one) => Self::read(one, actuator)?,
             all => {
-                if let Some(other) = all.iter().find(|p| !recording(p)) {
+                if let Some(other) = all.iter().find(|p| !is_recording(p)) {
                     let found = other.display().to_string();
                     let allowed = "one bench file alone, or recordings (.csv, .parquet)";
                     return Err(Error::bad("command line", "--bench", found, allowed));
                 }
                 let reference = ActuatorParameters::reference();
-                Self::of_recordings(all, actuator.unwrap_or(&reference))?
+                let actuator = actuator.unwrap_or(&reference);
+                Self::from_section(own::bench(all, actuator)?, &all[0], Some(actuator))?
             }
         };
         for r in &mut bench.runs {
             r.healthy |= healthy;
         }
         Ok(bench)
-    }
-
-    /// The bench that recordings of telemetry are. Of a long one, every third piece proves what the others found; of
-    /// short ones, every third.
-    fn of_recordings(paths: &[PathBuf], actuator: &ActuatorParameters) -> Result<Self> {
-        let first = &paths[0];
-        let (table, ..) = crate::measured::own::columns(first)?;
-        let mut text = String::from("[rig]\nkind = \"rotary\"\ndrive = \"current\"\n");
-        // how far an actuator of the same type differs (assumed)
-        let fd = actuator.static_friction_n_m * actuator.dynamic_friction_ratio;
-        text += &format!(
-            "drive_constant = {{ value = {:?}, trust = 0.02 }}\ninertia = {{ value = {:?}, trust = 0.05 }}\n\
-             viscous = {{ value = {:?}, trust = 0.3 }}\ncoulomb = {{ value = {fd:?}, trust = 0.5 }}\n\
-             inductance = {{ value = {:?}, trust = 0.03 }}\n[channels]\n",
-            actuator.torque_constant_n_m_per_a(),
-            actuator.inertia_kg_m2,
-            actuator.viscous_n_m_s_per_rad,
-            2.0 * actuator.phase_inductance_h,
-        );
-        text += &crate::measured::own::channels(&table);
-        let mut all = Vec::new();
-        for path in paths {
-            let (_, duration_s, runs) = crate::measured::own::columns(path)?;
-            let whole = std::path::absolute(path).map_err(|e| Error::io(path, "cannot be found", e))?;
-            all.extend(runs.into_iter().map(|r| (whole.display().to_string(), duration_s, r)));
-        }
-        let short = all.iter().filter(|r| r.1 < SHORTEST_S).count();
-        let mut seen = 0;
-        for (file, duration_s, r) in all {
-            let run = r.map_or(String::new(), |r| format!("where = {{ run = {r} }}\n"));
-            if duration_s < SHORTEST_S {
-                seen += 1;
-                // the last of three, or of two
-                let proves = short > 1 && (seen % 3 == 0 || seen == short && short < 3);
-                let role = if proves { "heldout" } else { "fit" };
-                text += &format!("[[run]]\nfile = {file:?}\nrole = {role:?}\n{run}");
-                continue;
-            }
-            // every third piece proves what the others found
-            let pieces = (duration_s / PIECE_S).round();
-            let mut at = 0.0;
-            while at < pieces {
-                let (length, role) = if (at as usize).is_multiple_of(3) {
-                    (2.0, "fit")
-                } else {
-                    (1.0, "heldout")
-                };
-                let (from, to) = (
-                    duration_s * at / pieces,
-                    (duration_s * (at + length) / pieces).min(duration_s),
-                );
-                text += &format!("[[run]]\nfile = {file:?}\nrole = \"{role}\"\nwindow_s = [{from:?}, {to:?}]\n{run}");
-                at += length;
-            }
-        }
-        let names: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
-        Self::from_section(toml_section::parse(&names.join(", "), &text)?, first, Some(actuator))
     }
 
     /// Reads a bench file; what it does not say of the rig is taken from the actuator.

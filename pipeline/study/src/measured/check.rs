@@ -1,9 +1,9 @@
 //! The usual mistakes of a bench file, looked for before anything is fitted: units, swapped columns,
 //! reversed signs, a machine that never moves. Each is told in one line with its likely cause.
 
-use crate::equations::filter::FilterBank;
 use crate::measured::bench::{Bench, BenchChannel, Role};
-use crate::measured::recording::Run;
+use crate::measured::filter::FilterBank;
+use crate::measured::recording::{Run, extent};
 use schemas::error::{Error, Result};
 
 /// Factors that wrong units make, and what they are.
@@ -88,7 +88,7 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
                 "one sampling rate in all runs",
             ));
         }
-        let range = |x: &[f64]| x.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
+        let range = |x: &[f64]| extent(x.iter().copied());
         for c in [C::Position, C::Velocity] {
             if let (Some(x), Some(spec)) = (run.channel(c), bench.channel(c)) {
                 let (low, high) = range(x);
@@ -205,32 +205,60 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
     Ok(())
 }
 
-/// Inertia, viscous and dry friction by a straight fit to smoothed signals: a place to begin.
-pub fn rough(bench: &Bench, runs: &[&Run]) -> Option<[f64; 3]> {
+/// A straight fit of inertia, viscous and dry friction and a constant to smoothed signals.
+struct Straight {
+    /// coefficients of the terms
+    x: nalgebra::Vector4<f64>,
+    /// products of the terms
+    g: nalgebra::Matrix4<f64>,
+    /// of the torque
+    energy: f64,
+}
+
+/// * `corner` of the smoothing, as a share of the sampling rate
+/// * `scale` of the terms of inertia, viscous and dry friction
+///
+/// `None` where a channel is missing or the fit has no solution.
+fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3]) -> Option<Straight> {
     use BenchChannel as C;
     let rig = &bench.rig;
     let mut g = nalgebra::Matrix4::<f64>::zeros();
     let mut r = nalgebra::Vector4::<f64>::zeros();
+    let mut energy = 0.0;
     for run in runs {
-        let smooth = FilterBank::new(0.03 * run.rate_hz, run.rate_hz, 0.0);
+        let smooth = FilterBank::new(corner * run.rate_hz, run.rate_hz, 0.0);
         let u = smooth.whole(0, run.channel(rig.drive)?);
         let (w, a) = match (run.channel(C::Position), run.channel(C::Velocity)) {
             (Some(x), _) => (smooth.whole(1, x), smooth.whole(2, x)),
             (None, Some(w)) => (smooth.whole(0, w), smooth.whole(1, w)),
             _ => return None,
         };
-        let load = run.channel(C::Load);
+        let load = run.channel(C::Load).map(|x| smooth.whole(0, x));
         let fastest = w.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
-        for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest) {
-            let x = nalgebra::Vector4::new(a[k], w[k], w[k].signum(), 1.0);
+        // moving clearly: friction has its sign, and standing samples tell nothing; nothing was measured in a gap
+        let reach = smooth.half();
+        let near_gap = |k: usize| {
+            let around = run.lost.iter().skip(k.saturating_sub(reach)).take(2 * reach + 1);
+            around.into_iter().any(|l| *l)
+        };
+        for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest && !near_gap(k)) {
+            let x = nalgebra::Vector4::new(a[k] * scale[0], w[k] * scale[1], w[k].signum() * scale[2], 1.0);
+            let y = u[k] * rig.drive_constant.value - load.as_ref().map_or(0.0, |l| l[k]);
             g += x * x.transpose();
-            r += x * (rig.drive_constant.value * u[k] - load.map_or(0.0, |l| l[k]));
+            r += x * y;
+            energy += y * y;
         }
     }
-    let scale = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
-    let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (scale[i] * scale[j]) + if i == j { 1e-9 } else { 0.0 });
-    let x = unit.cholesky()?.solve(&r.component_div(&scale)).component_div(&scale);
-    Some([x[0], x[1], x[2]])
+    let norm = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
+    let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (norm[i] * norm[j]) + if i == j { 1e-9 } else { 0.0 });
+    let x = unit.cholesky()?.solve(&r.component_div(&norm)).component_div(&norm);
+    Some(Straight { x, g, energy })
+}
+
+/// Inertia, viscous and dry friction of nobody's knowledge: a place to begin.
+pub fn rough(bench: &Bench, runs: &[&Run]) -> Option<[f64; 3]> {
+    let fit = straight(bench, runs, WIDE, [1.0; 3])?;
+    Some([fit.x[0], fit.x[1], fit.x[2]])
 }
 
 /// Corners of the smoothing, as shares of the sampling rate.
@@ -253,57 +281,17 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
         return Ok(None);
     };
     let place = format!("channel `{}`, column `{}`", rig.drive.name(), spec.column);
-    let mut g = nalgebra::Matrix4::<f64>::zeros();
-    let mut r = nalgebra::Vector4::<f64>::zeros();
-    let mut energy = 0.0;
-    for run in runs {
-        let smooth = FilterBank::new(corner * run.rate_hz, run.rate_hz, 0.0);
-        let Some(u) = run.channel(rig.drive) else {
-            return Ok(None);
-        };
-        let (w, a) = match (run.channel(C::Position), run.channel(C::Velocity)) {
-            (Some(x), _) => (smooth.whole(1, x), smooth.whole(2, x)),
-            (None, Some(w)) => (smooth.whole(0, w), smooth.whole(1, w)),
-            _ => {
-                let found = "neither position nor velocity";
-                return Err(Error::bad(&run.name, "channels", found, "one of them"));
-            }
-        };
-        let u: Vec<f64> = smooth
-            .whole(0, u)
-            .iter()
-            .map(|u| u * rig.drive_constant.value)
-            .collect();
-        let load = run.channel(C::Load).map(|x| smooth.whole(0, x));
-        let fastest = w.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
-        // moving clearly: friction has its sign, and standing samples tell nothing; nothing was measured in a gap
-        let reach = smooth.half();
-        let near_gap = |k: usize| {
-            run.lost
-                .iter()
-                .skip(k.saturating_sub(reach))
-                .take(2 * reach + 1)
-                .any(|l| *l)
-        };
-        for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest && !near_gap(k)) {
-            let x = nalgebra::Vector4::new(
-                a[k] * rig.inertia.value.max(1e-12),
-                w[k] * rig.viscous.value.max(1e-12),
-                w[k].signum() * rig.coulomb.value.max(1e-12),
-                1.0,
-            );
-            let y = u[k] - load.as_ref().map_or(0.0, |l| l[k]);
-            g += x * x.transpose();
-            r += x * y;
-            energy += y * y;
-        }
+    if let Some(run) = runs
+        .iter()
+        .find(|r| r.channel(C::Position).or(r.channel(C::Velocity)).is_none())
+    {
+        let found = "neither position nor velocity";
+        return Err(Error::bad(&run.name, "channels", found, "one of them"));
     }
-    let scale = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
-    let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (scale[i] * scale[j]) + if i == j { 1e-9 } else { 0.0 });
-    let Some(solved) = unit.cholesky().map(|c| c.solve(&r.component_div(&scale))) else {
+    let scale = [rig.inertia.value, rig.viscous.value, rig.coulomb.value].map(|x| x.max(1e-12));
+    let Some(Straight { x, g, energy }) = straight(bench, runs, corner, scale) else {
         return Ok(None);
     };
-    let x = solved.component_div(&scale);
     // share of the torque's energy that the inertia term makes: too little tells nothing
     let inertial = x[0] * x[0] * g[(0, 0)] / energy.max(1e-300);
     let frictional = x[2] * x[2] * g[(2, 2)] / energy.max(1e-300);

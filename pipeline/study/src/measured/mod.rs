@@ -1,5 +1,6 @@
 pub mod bench;
 pub mod check;
+pub mod filter;
 pub mod own;
 pub mod recording;
 pub mod table;

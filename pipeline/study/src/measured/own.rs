@@ -1,8 +1,17 @@
-//! Recordings of the project's own telemetry as benches: which column is which channel.
+//! Recordings of the project's own telemetry as benches: which column is which channel, which piece finds and which proves.
 
 use crate::measured::table::{Column, Table};
 use schemas::error::{Error, Result};
-use std::path::Path;
+use schemas::toml_section::{self, Section};
+use sim_worker::catalogue;
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::SensorModel;
+use std::path::{Path, PathBuf};
+
+/// Length of the pieces of a recording that is a bench by itself [s] (assumed): each of its motions has its share in what
+/// finds and in what proves. And the shortest that may prove anything.
+const PIECE_S: f64 = 0.43;
+const SHORTEST_S: f64 = 5.0;
 
 /// Column, channel, and the rest of its line in `[channels]`. Point-sampled positions, currents as
 /// means, as the telemetry of a test bench is.
@@ -25,8 +34,65 @@ const CHANNELS: [(&str, &str, &str); 15] = [
 ];
 const PHASE: &str = "unit = \"A\", sampling = \"mean\", offset = 0.0115";
 
+/// The bench that recordings of telemetry are. Of a long one, every third piece proves what the others found; of
+/// short ones, every third.
+pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters) -> Result<Section> {
+    let mut text = String::from("[rig]\nkind = \"rotary\"\ndrive = \"current\"\n");
+    // how far an actuator of the same type differs (assumed)
+    let fd = actuator.static_friction_n_m * actuator.dynamic_friction_ratio;
+    text += &format!(
+        "drive_constant = {{ value = {:?}, trust = 0.02 }}\ninertia = {{ value = {:?}, trust = 0.05 }}\n\
+         viscous = {{ value = {:?}, trust = 0.3 }}\ncoulomb = {{ value = {fd:?}, trust = 0.5 }}\n\
+         inductance = {{ value = {:?}, trust = 0.03 }}\n[channels]\n",
+        actuator.torque_constant_n_m_per_a(),
+        actuator.inertia_kg_m2,
+        actuator.viscous_n_m_s_per_rad,
+        2.0 * actuator.phase_inductance_h,
+    );
+    let mut all = Vec::new();
+    for (i, path) in paths.iter().enumerate() {
+        let (table, duration_s, runs) = columns(path)?;
+        if i == 0 {
+            text += &channels(&table)?;
+        }
+        let whole = std::path::absolute(path).map_err(|e| Error::io(path, "cannot be found", e))?;
+        all.extend(runs.into_iter().map(|r| (whole.display().to_string(), duration_s, r)));
+    }
+    let short = all.iter().filter(|r| r.1 < SHORTEST_S).count();
+    let mut seen = 0;
+    for (file, duration_s, r) in all {
+        let run = r.map_or(String::new(), |r| format!("where = {{ run = {r} }}\n"));
+        if duration_s < SHORTEST_S {
+            seen += 1;
+            // the last of three, or of two
+            let proves = short > 1 && (seen % 3 == 0 || seen == short && short < 3);
+            let role = if proves { "heldout" } else { "fit" };
+            text += &format!("[[run]]\nfile = {file:?}\nrole = {role:?}\n{run}");
+            continue;
+        }
+        // every third piece proves what the others found
+        let pieces = (duration_s / PIECE_S).round();
+        let mut at = 0.0;
+        while at < pieces {
+            let (length, role) = if (at as usize).is_multiple_of(3) {
+                (2.0, "fit")
+            } else {
+                (1.0, "heldout")
+            };
+            let (from, to) = (
+                duration_s * at / pieces,
+                (duration_s * (at + length) / pieces).min(duration_s),
+            );
+            text += &format!("[[run]]\nfile = {file:?}\nrole = \"{role}\"\nwindow_s = [{from:?}, {to:?}]\n{run}");
+            at += length;
+        }
+    }
+    let names: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
+    toml_section::parse(&names.join(", "), &text)
+}
+
 /// Its columns, duration of a run [s], and the runs' numbers (`None` where there is one).
-pub fn columns(path: &Path) -> Result<(Table, f64, Vec<Option<u64>>)> {
+fn columns(path: &Path) -> Result<(Table, f64, Vec<Option<u64>>)> {
     let t = Table::read(path)?.with_q_current();
     if !t.names.iter().any(|n| n == "i_q") {
         let allowed = "a column i_q, or theta_m with i_a, i_b, i_c";
@@ -49,8 +115,8 @@ pub fn columns(path: &Path) -> Result<(Table, f64, Vec<Option<u64>>)> {
 /// second sensor.
 ///
 /// The noise of the reference sensors is said where their grain is seen, else it is estimated.
-pub fn channels(table: &Table) -> String {
-    let reference = is_reference(table);
+fn channels(table: &Table) -> Result<String> {
+    let sensors = catalogue::sensors("reference")?.filter(|s| is_seen(table, s));
     let names = &table.names;
     let mut text = String::from("time = { column = \"t\", unit = \"s\" }\n");
     let has = |n: &str| names.iter().any(|x| x == n);
@@ -60,12 +126,18 @@ pub fn channels(table: &Table) -> String {
             || channel == "user_position" && follows(table)
             || channel.starts_with("v_") && ["v_a", "v_b", "v_c"].iter().any(|c| table.numbers(c).is_err());
         if has(column) && !duplicate {
-            let noise = match channel {
-                "position" if reference => format!(", resolution = {:?}", std::f64::consts::TAU / 65536.0),
-                "velocity" if reference => ", noise = 0.2".into(),
-                "i_a" | "i_b" | "i_c" if reference => format!(", resolution = {CURRENT_GRAIN_A:?}, noise = 0.02"),
-                // the NTB's own, which is exact, but for the relays' chatter
-                "v_a" | "v_b" | "v_c" if reference => ", noise = 0.02".into(),
+            let noise = match (channel, &sensors) {
+                ("position", Some(s)) => format!(", resolution = {:?}", s.resolver_count_rad()),
+                ("velocity", Some(s)) => format!(", noise = {:?}", s.speed_noise_rad_per_s),
+                ("i_a" | "i_b" | "i_c", Some(s)) => {
+                    format!(
+                        ", resolution = {:?}, noise = {:?}",
+                        s.current_count_a(),
+                        s.current_noise_a
+                    )
+                }
+                // the NTB's own, which is exact, but for the relays' chatter (assumed)
+                ("v_a" | "v_b" | "v_c", Some(_)) => ", noise = 0.02".into(),
                 _ => String::new(),
             };
             text += &format!("{channel} = {{ column = \"{column}\", {rest}{noise} }}\n");
@@ -74,14 +146,11 @@ pub fn channels(table: &Table) -> String {
     if has("v_dc") && has("v_a") {
         text += "v_dc = { column = \"v_dc\", unit = \"V\", sampling = \"mean\" }\n";
     }
-    text
+    Ok(text)
 }
 
-/// Grain of the reference sensors' phase currents: +-25 A in 12 bits [A].
-const CURRENT_GRAIN_A: f64 = 50.0 / 4096.0;
-
-/// Whether phase currents and angle stand on the grids of the reference sensors.
-fn is_reference(t: &Table) -> bool {
+/// Whether phase currents and angle stand on the grids of these sensors.
+fn is_seen(t: &Table, sensors: &SensorModel) -> bool {
     let on = |name: &str, grain: f64| {
         t.numbers(name).is_ok_and(|x| {
             let n = x.len().min(2000);
@@ -92,7 +161,7 @@ fn is_reference(t: &Table) -> bool {
             n > 100 && hits * 20 > 19 * n
         })
     };
-    on("i_a", CURRENT_GRAIN_A) && on("theta_m", std::f64::consts::TAU / 65536.0)
+    on("i_a", sensors.current_count_a()) && on("theta_m", sensors.resolver_count_rad())
 }
 
 /// Whether the user's angle is the motor's over one ratio, to its last digits.

@@ -25,7 +25,7 @@ const ENOUGH_HZ: f64 = 2_600.0;
 
 /// Means of so many samples for one, in all channels of all runs; the bench is told that they are means, of less
 /// noise.
-pub fn taken_together(bench: &mut Bench, runs: &mut [Run]) -> usize {
+pub fn taken_together(bench: &mut Bench, runs: &mut [Run]) {
     let moving = || runs.iter().filter(|r| !r.steady);
     let (samples, rate) = (
         moving().map(|r| r.samples).sum::<usize>(),
@@ -34,7 +34,7 @@ pub fn taken_together(bench: &mut Bench, runs: &mut [Run]) -> usize {
     let by_count = (samples as f64 / MOST_SAMPLES).min(rate / LEAST_RATE_HZ);
     let m = by_count.max(rate / ENOUGH_HZ).floor() as usize;
     if m < 2 || bench.is_comparison() {
-        return 1;
+        return;
     }
     for r in runs.iter_mut().filter(|r| !r.steady) {
         r.samples /= m;
@@ -57,7 +57,6 @@ pub fn taken_together(bench: &mut Bench, runs: &mut [Run]) -> usize {
             *x *= share;
         }
     }
-    m
 }
 
 /// One run, SI at the motor.
@@ -469,6 +468,17 @@ fn resampled(time: &[f64], x: &[f64], count: usize, at: impl Fn(usize) -> f64) -
         .collect()
 }
 
+/// Least and greatest of values; the wrong way round where there are none.
+pub fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)))
+}
+
+/// From the least to the greatest value of a channel.
+pub fn range(runs: &[&Run], c: BenchChannel) -> f64 {
+    let (low, high) = extent(runs.iter().filter_map(|r| r.channel(c)).flatten().copied());
+    (high - low).max(0.0)
+}
+
 /// Noise of a channel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ChannelNoise {
@@ -528,10 +538,7 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
 fn colour(channel: BenchChannel, rms: f64, runs: &[Run]) -> f64 {
     let mut blocks: Vec<f64> = Vec::new();
     for x in runs.iter().filter_map(|r| r.channel(channel)) {
-        let d: Vec<f64> = x
-            .windows(5)
-            .map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4])
-            .collect();
+        let d: Vec<f64> = fourth_differences(x).collect();
         blocks.extend(
             d.chunks_exact(128)
                 .map(|b| b.iter().map(|x| x * x).sum::<f64>() / 128.0),
@@ -584,25 +591,33 @@ fn grain_of(channel: BenchChannel, runs: &[Run]) -> f64 {
     }
 }
 
-/// From the fourth differences, in which a smooth signal leaves little: their median square, so that
-/// jumps do not count.
-fn estimated(channel: BenchChannel, runs: &[Run]) -> f64 {
-    let mut all: Vec<f64> = Vec::new();
-    for x in runs.iter().filter_map(|r| r.channel(channel)) {
-        all.extend(
-            x.windows(5)
-                .map(|w| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).abs()),
-        );
-    }
+/// Fourth differences of neighbours, in which a smooth signal leaves little.
+fn fourth_differences(x: &[f64]) -> impl Iterator<Item = f64> + '_ {
+    x.windows(5).map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4])
+}
+
+/// rms of white noise whose fourth differences have the median that those of the signals have; `None` where there are
+/// none.
+pub fn roughness<'a>(signals: impl Iterator<Item = &'a [f64]>) -> Option<f64> {
+    let mut all: Vec<f64> = signals.flat_map(|x| fourth_differences(x).map(f64::abs)).collect();
     if all.is_empty() {
-        return 0.0;
+        return None;
     }
     let middle = all.len() / 2;
     let median = *all.select_nth_unstable_by(middle, f64::total_cmp).1;
+    Some(median / 0.6745 / 70f64.sqrt())
+}
+
+/// From the fourth differences, in which a smooth signal leaves little: their median square, so that
+/// jumps do not count.
+fn estimated(channel: BenchChannel, runs: &[Run]) -> f64 {
+    let Some(usual) = roughness(runs.iter().filter_map(|r| r.channel(channel))) else {
+        return 0.0;
+    };
     let values = runs.iter().filter_map(|r| r.channel(channel)).flatten();
-    let (low, high) = values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    let (low, high) = extent(values.copied());
     // no sensor is better than a millionth of its range
-    (median / 0.6745 / 70f64.sqrt()).max(1e-6 * (high - low))
+    usual.max(1e-6 * (high - low))
 }
 
 /// Half the variance of the difference of runs that were meant to be alike.

@@ -4,7 +4,7 @@
 //! Friction, bristles, torques and the control delay act in the loop. Compliance, backlash, the
 //! encoder's error and electrical effects do not, nor do effects that the model's file had already.
 
-use crate::equations::problem::Nuisance;
+use crate::equations::nuisances::Nuisance;
 use crate::equations::signals::Signals;
 use crate::measured::bench::ControllerLaw;
 use crate::search::fit::{self, Fit};

@@ -14,7 +14,7 @@ use sim_worker::effect::{Effect, EffectKind};
 /// Length of a block [s] (assumed: longer than any memory of residuals seen).
 const BLOCK_S: f64 = 0.5;
 /// Two-sided 95 % of a normal distribution.
-const NORMAL_95: f64 = 1.96;
+pub const NORMAL_95: f64 = 1.96;
 /// Share of the priors' width that enters.
 const BELIEF: f64 = 1.0;
 /// Runs from which their scatter counts, and most that the blocks' scatter may be over that of white noise (assumed).

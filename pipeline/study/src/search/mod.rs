@@ -1,9 +1,10 @@
 pub mod closed_loop;
-pub mod compare;
-pub mod compare_motion;
+pub mod excitation;
 pub mod fit;
 pub mod intervals;
 pub mod remainder;
+pub mod scan;
 pub mod select;
 pub mod spectrum;
 pub mod study;
+pub mod verdict;

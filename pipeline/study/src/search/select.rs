@@ -1,14 +1,20 @@
 //! Which effects are missing: the candidates are ranked, taken one after another, and kept only
 //! while data that were not used to find them get better.
 
-use crate::candidates::columns::{self, RigConstants};
-use crate::equations::problem::{self, Nuisance, Problem};
-use crate::equations::signals::{self, Clock};
-use crate::measured::bench::{Bench, BenchChannel, Role};
+use crate::candidates::columns;
+use crate::equations::nuisances::{self, Nuisance};
+use crate::equations::pieces::RigConstants;
+use crate::equations::problem::{self, Problem};
+use crate::equations::signals::{self, Clock, NoiseTable};
+use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Known, Noise, Role};
+use crate::measured::check;
 use crate::measured::recording::{self, Run};
-use crate::search::fit::{self, Fit, Regressor, Scan, Score, Term};
+use crate::search::excitation;
+use crate::search::fit::{self, Fit, Regressor, Score, Term};
+use crate::search::scan::Scan;
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
+use std::sync::Arc;
 
 /// Standard deviations from which a belief about friction is given up (assumed).
 const STRANGE: f64 = 2.5;
@@ -25,7 +31,9 @@ const LEAST_VOLTAGE_DELAY: f64 = 1.5;
 /// All that a study works on.
 pub struct Material {
     pub bench: Bench,
-    pub runs: Vec<Run>,
+    pub runs: Arc<Vec<Run>>,
+    /// of every channel; it does not change while a study goes on
+    noise: NoiseTable,
     pub clock: Clock,
     pub equations: Vec<Equation>,
     pub nuisances: Vec<Nuisance>,
@@ -36,8 +44,6 @@ pub struct Material {
     known: Vec<Effect>,
     /// torque that the model under study does not have, and what the drive does between its samples, rms [N m]
     excess: (f64, f64),
-    /// samples that were taken together
-    pub together: usize,
     /// delays of the channels as the bench says them [s]
     said: Vec<(BenchChannel, f64)>,
 }
@@ -55,14 +61,15 @@ pub struct Ranked {
 impl Material {
     /// * `known` effects that the model has already
     pub fn new(mut bench: Bench, mut runs: Vec<Run>, known: &[Effect]) -> Self {
-        let together = recording::taken_together(&mut bench, &mut runs);
+        recording::taken_together(&mut bench, &mut runs);
         begin(&mut bench, &runs);
         let noise = signals::noise_table(&bench, &runs);
-        let equations = problem::equations(&bench, &runs);
-        let nuisances = problem::nuisances(&bench, &runs, &noise, &equations);
+        let equations = nuisances::equations(&bench, &runs.iter().collect::<Vec<_>>());
+        let nuisances = nuisances::nuisances(&bench, &runs, &noise, &equations);
         let swing = signals::swing(&bench, &runs);
-        let m = Self::set_up(bench, runs, nuisances, known.to_vec(), (0.0, 0.0), (0.0, 0.0));
-        let mut m = Self { together, ..m }.on_time(&[]);
+        let runs = Arc::new(runs);
+        let m = Self::set_up(bench, runs, noise, nuisances, known.to_vec(), (0.0, 0.0), (0.0, 0.0));
+        let mut m = m.on_time(&[]);
         // the mean over a sample of a drive that is read at points is as uncertain as it swings between them, but
         // it may be held between them: the data say
         if swing > 0.0 {
@@ -84,10 +91,10 @@ impl Material {
 
     /// Set up again with another bench, other nuisances, other torque noise.
     fn again(&self, bench: Bench, nuisances: Vec<Nuisance>, encoder: (f64, f64), excess: (f64, f64)) -> Self {
-        let next = Self::set_up(bench, self.runs.clone(), nuisances, self.known.clone(), encoder, excess);
+        let (runs, noise, known) = (self.runs.clone(), self.noise.clone(), self.known.clone());
+        let next = Self::set_up(bench, runs, noise, nuisances, known, encoder, excess);
         Self {
             said: self.said.clone(),
-            together: self.together,
             ..next
         }
     }
@@ -163,28 +170,26 @@ impl Material {
 
     /// Delays of channels that were found beyond what the bench says [s].
     pub fn found_delays(&self) -> Vec<(BenchChannel, f64)> {
-        let found = |s: &crate::measured::bench::ChannelSpec| (s.channel, s.delay_s - self.said_delay(s.channel));
+        let found = |s: &ChannelSpec| (s.channel, s.delay_s - self.said_delay(s.channel));
         self.bench.channels.iter().map(found).filter(|d| d.1 != 0.0).collect()
     }
 
     fn set_up(
         bench: Bench,
-        runs: Vec<Run>,
+        runs: Arc<Vec<Run>>,
+        noise: NoiseTable,
         nuisances: Vec<Nuisance>,
         known: Vec<Effect>,
         encoder: (f64, f64),
         excess: (f64, f64),
     ) -> Self {
-        let noise = signals::noise_table(&bench, &runs);
         let of = |role: &[Role]| -> Vec<&Run> { runs.iter().filter(|r| role.contains(&r.role)).collect() };
         let used = of(&[Role::Fit, Role::Select, Role::HeldOut]);
-        let used: Vec<Run> = used.into_iter().cloned().collect();
         let clock = Clock::new(&bench, &used, &noise);
-        let equations = problem::equations(&bench, &used);
-        let mut constants = problem::constants(&bench, &clock);
+        let equations = nuisances::equations(&bench, &used);
+        let mut constants = nuisances::constants(&bench, &clock);
         constants.encoder = encoder;
-        let all: Vec<&Run> = used.iter().collect();
-        let build = |runs: &[&Run]| Problem::new(&bench, runs, &all, &clock, &noise, &equations, &nuisances, excess);
+        let build = |runs: &[&Run]| Problem::new(&bench, runs, &used, &clock, &noise, &equations, &nuisances, excess);
         let mut fit = build(&of(&[Role::Fit, Role::Select]));
         let held = of(&[Role::HeldOut]);
         let mut held = (!held.is_empty()).then(|| build(&held));
@@ -202,7 +207,7 @@ impl Material {
         // means between point samples of a current that swings are not known as well as its samples
         let spec = bench.channel(bench.rig.drive);
         if equations.contains(&Equation::Electrical)
-            && spec.is_some_and(|d| !d.mean || !matches!(d.noise, crate::measured::bench::Noise::Known(_)))
+            && spec.is_some_and(|d| !d.mean || !matches!(d.noise, Noise::Known(_)))
         {
             let base = fit::solve(&fit, &constants, &nuisances, &[], fit.floor.map(|f| f.max(1e-300)));
             let rms = fit.by_differences(&base.residual, Equation::Electrical);
@@ -223,9 +228,9 @@ impl Material {
         let said = bench.channels.iter().map(|c| (c.channel, c.delay_s)).collect();
         Self {
             said,
-            together: 1,
             bench,
             runs,
+            noise,
             clock,
             equations,
             nuisances,
@@ -300,7 +305,7 @@ impl Material {
         let regs = fit::regressors(&self.fit, &model.terms, &self.constants);
         let (y, further) = fit::assembled(&self.fit, &regs);
         let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, model.sigma).with_orders();
-        let silent = crate::told::tell::not_excited(self);
+        let silent = excitation::not_excited(self);
         let mut all: Vec<Ranked> = kinds
             .par_iter()
             .filter(|k| !silent.iter().any(|s| s.0 == k.name()))
@@ -353,6 +358,12 @@ impl Material {
         })
     }
 
+    /// The equation in which an effect is seen here: its own, or that of the torque.
+    pub fn seen_in(&self, kind: EffectKind) -> Equation {
+        let e = kind.equation();
+        if self.fit.rows_of(e) > 0 { e } else { Equation::Torque }
+    }
+
     pub fn has(&self, c: BenchChannel) -> bool {
         self.runs.iter().all(|r| r.channel(c).is_some())
     }
@@ -360,7 +371,7 @@ impl Material {
 
 /// Constants that nobody knows begin where a straight fit of the smoothed signals puts them.
 fn begin(bench: &mut Bench, runs: &[Run]) {
-    let free = |k: &crate::measured::bench::Known| k.value <= 0.0 && k.trust != Some(0.0);
+    let free = |k: &Known| k.value <= 0.0 && k.trust != Some(0.0);
     let rig = &bench.rig;
     if !(free(&rig.inertia) || free(&rig.coulomb) || free(&rig.viscous) || free(&rig.resistance)) {
         return;
@@ -369,11 +380,11 @@ fn begin(bench: &mut Bench, runs: &[Run]) {
         .iter()
         .filter(|r| matches!(r.role, Role::Fit | Role::Select) && !r.steady)
         .collect();
-    let rough = crate::measured::check::rough(bench, &used);
+    let rough = check::rough(bench, &used);
     let rig = &mut bench.rig;
     if let Some([j, b, c]) = rough {
         for (k, x) in [(&mut rig.inertia, j), (&mut rig.viscous, b), (&mut rig.coulomb, c)] {
-            if k.value <= 0.0 && k.trust != Some(0.0) {
+            if free(k) {
                 (k.value, k.trust) = (x.max(0.0), None);
             }
         }

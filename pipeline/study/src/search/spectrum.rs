@@ -20,8 +20,7 @@ pub type Factor = fn(&Signals, usize) -> f64;
 /// Orders at which the residual of the torque's rows, times `factor`, stands out of its spectrum, the strongest first;
 /// none where the motor turns by less than two turns.
 pub fn orders(p: &Problem, residual: &[f64], factor: Factor) -> Vec<f64> {
-    let angles = || p.signals.iter().flat_map(|s| &s.theta);
-    let (low, high) = angles().fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+    let (low, high) = p.travel();
     let turns = (high - low) / TAU;
     if turns.is_nan() || turns < 2.0 {
         return Vec::new();

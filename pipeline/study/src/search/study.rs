@@ -1,12 +1,14 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
 use crate::candidates::columns::{self, Form};
-use crate::equations::problem::{Nuisance, Problem};
-use crate::measured::bench::Noise;
+use crate::equations::nuisances::Nuisance;
+use crate::equations::problem::Problem;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
 use crate::search::remainder;
+use crate::search::scan;
 use crate::search::select::{Material, Ranked};
+use crate::search::verdict::{Verdict, WORTH, conclude, rough_energy};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_worker::effect::{EffectKind, Equation};
@@ -24,8 +26,6 @@ const LEAST_PART: f64 = 0.30;
 const LEAST_TORQUE: f64 = 2e-3;
 /// Gain of a candidate that is worth a look at pairs although it is refused alone.
 const PAIR_GAIN: f64 = 60.0;
-/// Energy over that of the noise from which an equation has an excess that is worth a share.
-const WORTH: f64 = 1.1;
 /// Torque over the rms of the fit runs beyond which held-out data are beyond what was excited.
 const EXCITED: f64 = 3.0;
 /// Half-width of an amplitude's 95 % interval over the amplitude from which it may as well be nothing.
@@ -39,72 +39,28 @@ const BLOCK_S: f64 = 0.4;
 const DRAWS: usize = 400;
 /// Parts of the fit runs, each judged by what the others say.
 const FOLDS: usize = 5;
-/// An effect is named when it and those before it explain this share of the excess energy.
-pub const NAMED_SHARE: f64 = 0.70;
-/// Where every equation has this share of its excess explained, nothing remains to be named.
-pub const CLEAN_SHARE: f64 = 0.85;
-/// Gap over the noise in the transmission beyond which a slow one is no spring and no play (assumed).
-const FAR: f64 = 3.5;
-/// Energy over that of the noise that cannot be the noise's, with nothing found (assumed).
-const BEYOND: f64 = 1.35;
-/// Time over which a torque or voltage that is missing keeps its sign at least (assumed) [s].
-const SLOW_S: f64 = 0.02;
-/// Energy over that of the noise of means over this time that is no noise, with nothing found (assumed); of two
-/// sensors of one motion, whose own errors are many, more.
-const SLOWLY: f64 = 2.0;
-const SENSORS_APART: f64 = 12.0;
-/// A table that takes more than this share of an equation's energy has found something (assumed).
-pub const UNKNOWN_SHARE: f64 = 0.10;
 /// Log-likelihood by which a rival must fall behind, and share of the gain where the best leaves a gap (assumed).
 const RIVAL: f64 = 5.0;
 const RIVAL_SHARE: f64 = 0.02;
-/// Most that the noise seen from row to row may be over that of the sensors (assumed).
-const ROUGH: f64 = 2.0;
 /// A block of held-out data whose gap stays beyond this energy, whatever the model, was disturbed (assumed).
 const DISTURBED: f64 = 6.0;
-
-/// How a study ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    None,
-    Retune,
-    Named,
-    NamedWithRemainder,
-    Ambiguous,
-    Unknown,
-    /// effects were found, and no data are left to prove them
-    Candidate,
-}
-
-impl Verdict {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Retune => "retune",
-            Self::Named => "named",
-            Self::NamedWithRemainder => "named_with_remainder",
-            Self::Ambiguous => "ambiguous",
-            Self::Unknown => "unknown",
-            Self::Candidate => "candidate",
-        }
-    }
-}
 
 /// One accepted or refused effect.
 #[derive(Clone, Debug)]
 pub struct Step {
     /// candidates, the best first
     pub ranked: Vec<Ranked>,
-    /// energies by equation on the fit runs, before
+    /// energies by equation on the fit runs, before and after
     pub before: [f64; 5],
-    /// same on the held-out runs, before and after
-    pub held_before: [f64; 5],
-    pub held_after: [f64; 5],
+    pub after: [f64; 5],
     pub accepted: bool,
     /// what was added: one effect, or two that only go together
     pub taken: Vec<EffectKind>,
     pub why_not: &'static str,
 }
+
+/// An effect, and the rms of its equation's rows on the held-out runs without it and with all.
+pub type Proof = (EffectKind, f64, f64);
 
 /// What a study comes to: verdict, models before and after, and the steps between.
 pub struct Outcome {
@@ -121,8 +77,7 @@ pub struct Outcome {
     pub remainder: f64,
     /// effects, and the kinds that cannot be told from each
     pub ambiguous: Vec<(EffectKind, Vec<EffectKind>)>,
-    /// of each effect: rms of its equation's rows on the held-out runs without it and with all
-    pub proofs: Vec<(EffectKind, f64, f64)>,
+    pub proofs: Vec<Proof>,
     /// nuisance parameters around the model's own constants
     pub first_nuisances: Vec<Nuisance>,
     /// held-out energies by equation: nominal, re-tuned, with the effects
@@ -135,37 +90,6 @@ pub struct Outcome {
     pub held_residuals: (Vec<f64>, Vec<f64>),
     pub held_nominal_residual: Vec<f64>,
     pub nominal_to_channel: f64,
-}
-
-/// By equation: share of the held-out excess over the noise that was explained; `None` where there
-/// was none worth the name.
-pub fn shares(p: &Problem, before: &[f64; 5], after: &[f64; 5], residual: Option<&[f64]>) -> [Option<f64>; 5] {
-    let noise: [f64; 5] = std::array::from_fn(|e| residual.map_or(0.0, |r| rough_energy(p, r, e)));
-    std::array::from_fn(|e| {
-        let n = p.rows_of(Equation::ALL[e]) as f64;
-        let floor = n * p.sensor_floor[e].powi(2);
-        // the controller's own equation has no floor that is known
-        let floor = if Equation::ALL[e] == Equation::Controller {
-            after[e].min(before[e])
-        } else {
-            floor.max(noise[e])
-        };
-        (n > 0.0 && before[e] > WORTH * floor).then(|| 1.0 - (after[e] - floor).max(0.0) / (before[e] - floor))
-    })
-}
-
-/// The shares as one: weighted by the logarithm of how far each equation was off.
-pub fn overall(p: &Problem, before: &[f64; 5], shares: &[Option<f64>; 5]) -> f64 {
-    let (mut sum, mut weights) = (0.0, 0.0);
-    for e in 0..5 {
-        if let Some(share) = shares[e] {
-            let n = p.rows_of(Equation::ALL[e]) as f64;
-            let weight = n * (before[e] / (n * p.sensor_floor[e].powi(2))).ln().max(0.1);
-            sum += weight * share;
-            weights += weight;
-        }
-    }
-    if weights > 0.0 { sum / weights } else { 1.0 }
 }
 
 impl Material {
@@ -204,6 +128,18 @@ impl Material {
         draws[DRAWS / 40]
     }
 
+    /// A model without one of its terms, constants and amplitudes solved again.
+    fn without(&self, model: &Fit, term: usize) -> Fit {
+        let mut terms = model.terms.clone();
+        terms.remove(term);
+        self.solve(&terms, model.sigma)
+    }
+
+    /// As [`Material::without`], the other shapes refined again.
+    fn dropped(&self, model: &Fit, term: usize) -> Fit {
+        self.polish(&self.without(model, term), 1)
+    }
+
     /// Residual of a model on the fit runs, each fold of blocks by the constants and amplitudes that the other
     /// folds say.
     fn crossed(&self, fit: &Fit) -> Vec<f64> {
@@ -227,7 +163,7 @@ impl Material {
 
     /// As [`Material::held_residual`], without the rows whose torque goes far beyond that of the fit
     /// runs: there a per cent of error in a constant is more than any effect.
-    fn judged_residual(&self, fit: &Fit) -> Vec<f64> {
+    pub fn judged_residual(&self, fit: &Fit) -> Vec<f64> {
         let mut r = self.held_residual(fit);
         let rows = self.fit.rows_of(Equation::Torque).max(1) as f64;
         let usual = EXCITED * (self.fit.drive.iter().map(|x| x * x).sum::<f64>() / rows).sqrt();
@@ -244,7 +180,7 @@ impl Material {
     }
 
     /// Energy that a table would still take from the held-out residual of each equation.
-    fn unnamed(&self, fit: &Fit) -> [f64; 5] {
+    pub fn unnamed(&self, fit: &Fit) -> [f64; 5] {
         let held = self.held_residual(fit);
         Equation::ALL.map(|e| {
             if self.fit.rows_of(e) == 0 || e == Equation::Controller {
@@ -321,16 +257,18 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         model = needed(&m, model);
     }
     // an amplitude of the wrong sign, or one that may as well be nothing, is no effect
-    while let Some(wrong) = model.terms.iter().position(|t| !fit::admissible(t.kind, &t.amplitudes)) {
-        model.terms.remove(wrong);
-        model = m.polish(&m.solve(&model.terms, model.sigma), 1);
+    while let Some(wrong) = model
+        .terms
+        .iter()
+        .position(|t| !scan::admissible(t.kind, &t.amplitudes))
+    {
+        model = m.dropped(&model, wrong);
     }
     while let Some(vague) = vague(&m, &model) {
-        model.terms.remove(vague);
-        model = m.polish(&m.solve(&model.terms, model.sigma), 1);
+        model = m.dropped(&model, vague);
     }
     tell("proof on held-out data");
-    let unproven = prove(&m, &mut model);
+    let (unproven, proofs) = prove(&m, &mut model);
     for s in &mut steps {
         if s.accepted && s.taken.iter().any(|k| unproven.contains(k)) {
             s.accepted = false;
@@ -348,7 +286,6 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     if m.held.is_none() && !model.terms.is_empty() {
         verdict = Verdict::Candidate;
     }
-    let proofs = proofs(&m, &model);
     let held_residuals = (m.held_residual(&retuned), m.held_residual(&model));
     let held = m.held_problem();
     Outcome {
@@ -373,35 +310,11 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
 }
 
-/// What each effect does for the held-out runs.
-fn proofs(m: &Material, model: &Fit) -> Vec<(EffectKind, f64, f64)> {
-    let Some(held) = &m.held else {
-        return Vec::new();
-    };
-    let rms = |fit: &Fit, e: Equation| {
-        let energy = held.energy(&m.held_residual(fit))[e.index()];
-        (energy / held.rows_of(e).max(1) as f64).sqrt()
-    };
-    (0..model.terms.len())
-        .map(|t| {
-            let kind = model.terms[t].kind;
-            let e = kind.equation();
-            let e = if held.rows_of(e) > 0 { e } else { Equation::Torque };
-            let mut terms = model.terms.clone();
-            terms.remove(t);
-            let without = m.solve(&terms, model.sigma);
-            (kind, rms(&without, e), rms(model, e))
-        })
-        .collect()
-}
-
 /// Whether no equation has more energy on the fit runs than the sensors' noise.
 fn within_noise(m: &Material, model: &Fit) -> bool {
-    let p = &m.fit;
-    Equation::ALL.iter().all(|e| {
-        let n = p.rows_of(*e) as f64;
-        *e == Equation::Controller || n == 0.0 || model.score.energy[e.index()] <= n * p.sensor_floor[e.index()].powi(2)
-    }) && !m.equations.contains(&Equation::Controller)
+    // of the controller's own equation no floor is known
+    let noise = |e: &Equation| model.score.energy[e.index()] <= m.fit.sensor_energy(e.index());
+    m.equations.iter().all(|e| *e != Equation::Controller && noise(e))
 }
 
 /// Log-likelihood less what the parameters of the terms cost (Schwarz).
@@ -420,9 +333,7 @@ fn penalised(m: &Material, fit: &Fit) -> f64 {
 fn needed(m: &Material, mut model: Fit) -> Fit {
     let mut at = 0;
     while model.terms.len() > 1 && at < model.terms.len() {
-        let mut terms = model.terms.clone();
-        terms.remove(at);
-        let without = m.solve(&terms, model.sigma);
+        let without = m.without(&model, at);
         if penalised(m, &model) - penalised(m, &without) < LEAST_GAIN {
             model = m.polish(&without, 1);
         } else {
@@ -432,30 +343,32 @@ fn needed(m: &Material, mut model: Fit) -> Fit {
     model
 }
 
-/// Takes out the terms without which held-out data, seen here for the first time, are told as well.
-fn prove(m: &Material, model: &mut Fit) -> Vec<EffectKind> {
+/// Takes out the terms without which held-out data, seen here for the first time, are told as well: their kinds, and what
+/// each of the others does.
+fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
     let mut unproven = Vec::new();
     let Some(held) = &m.held else {
-        return unproven;
+        return (unproven, Vec::new());
     };
     loop {
         let after = m.judged_residual(model);
-        let gains: Vec<f64> = (0..model.terms.len())
-            .map(|t| {
-                let mut terms = model.terms.clone();
-                terms.remove(t);
-                let without = m.solve(&terms, model.sigma);
-                m.lasting_gain(held, &m.judged_residual(&without), &after, &model.sigma)
-            })
-            .collect();
+        let without: Vec<Fit> = (0..model.terms.len()).map(|t| m.without(model, t)).collect();
+        let gain = |w: &Fit| m.lasting_gain(held, &m.judged_residual(w), &after, &model.sigma);
+        let gains: Vec<f64> = without.iter().map(gain).collect();
         let worst = (0..gains.len()).min_by(|a, b| gains[*a].total_cmp(&gains[*b]));
-        match worst.filter(|t| gains[*t] <= 0.0) {
-            Some(t) => {
-                unproven.push(model.terms.remove(t).kind);
-                *model = m.polish(&m.solve(&model.terms, model.sigma), 1);
-            }
-            None => return unproven,
+        if let Some(t) = worst.filter(|t| gains[*t] <= 0.0) {
+            unproven.push(model.terms[t].kind);
+            *model = m.polish(&without[t], 1);
+            continue;
         }
+        let energy = |fit: &Fit| held.energy(&m.held_residual(fit));
+        let all = energy(model);
+        let proof = |(t, w): (&Term, &Fit)| {
+            let e = m.seen_in(t.kind);
+            (t.kind, held.rms(e, &energy(w)), held.rms(e, &all))
+        };
+        let proofs = model.terms.iter().zip(&without).map(proof).collect();
+        return (unproven, proofs);
     }
 }
 
@@ -468,9 +381,7 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
     (0..model.terms.len()).rev().find(|&t| {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
-        let mut terms = model.terms.clone();
-        terms.remove(t);
-        let needed = || penalised(m, model) - penalised(m, &m.solve(&terms, model.sigma)) > CERTAIN;
+        let needed = || penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
         linear && intervals.terms[t][0] > VAGUE * e.values[0].abs() && !needed()
     })
 }
@@ -554,9 +465,7 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
 ///
 /// * `before` residual of the model, crossed
 fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked], before: &[f64]) -> Step {
-    let after = m.crossed(next);
-    let low = m.lasting_gain(&m.fit, before, &after, &next.sigma);
-    let (held_before, held_after) = (model.score.energy, next.score.energy);
+    let lasts = || m.lasting_gain(&m.fit, before, &m.crossed(next), &next.sigma) > 0.0;
     // a mass, a friction below zero is no machine
     let below = |n: &Nuisance, x: f64| {
         matches!(
@@ -585,7 +494,7 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked], b
         .terms
         .iter()
         .any(|t| matches!(t.kind, EffectKind::Backlash | EffectKind::Compliance));
-    let signs = next.terms.iter().all(|t| fit::admissible(t.kind, &t.amplitudes));
+    let signs = next.terms.iter().all(|t| scan::admissible(t.kind, &t.amplitudes));
     let why_not = if !signs {
         "its sign is not physical"
     } else if !loose && any(&below) {
@@ -596,17 +505,16 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked], b
         "no more than chance gives"
     } else if small(m, model, next) {
         "too small to matter"
-    } else if part(m, &held_before, next) < LEAST_PART {
+    } else if part(m, &model.score.energy, next) < LEAST_PART {
         "it explains little of what is left"
-    } else if low <= 0.0 {
+    } else if !lasts() {
         "data that did not fix its amplitudes do not get better"
     } else {
         ""
     };
     Step {
         before: model.score.energy,
-        held_before,
-        held_after,
+        after: next.score.energy,
         accepted: why_not.is_empty(),
         taken: next.terms[model.terms.len()..].iter().map(|t| t.kind).collect(),
         why_not,
@@ -650,107 +558,4 @@ fn noise_energy(m: &Material, model: &Fit, e: usize) -> f64 {
         return 0.0;
     }
     rough_energy(&m.fit, &model.residual, e)
-}
-
-fn rough_energy(p: &Problem, residual: &[f64], e: usize) -> f64 {
-    let rough = p.by_differences(residual, Equation::ALL[e]);
-    let sensors = p.sensor_floor[e];
-    p.rows_of(Equation::ALL[e]) as f64 * sensors.max(rough.min(ROUGH * sensors)).powi(2)
-}
-
-/// Whether what is left of the transmission's gap is slow: user and motor part company, which no
-/// spring and no play does.
-fn drifting(p: &Problem, residual: &[f64], gap: f64) -> bool {
-    let length = p.clock.block(1.0);
-    let (mut slow, mut all) = (0.0, 0.0);
-    for b in p.blocks.iter().filter(|b| b.equation == Equation::Transmission) {
-        let mut seconds = std::collections::BTreeMap::<usize, (f64, f64)>::new();
-        for (row, &k) in b.rows.clone().zip(&b.samples) {
-            let s = seconds.entry(k / length).or_default();
-            *s = (s.0 + 1.0, s.1 + residual[row]);
-            all += residual[row].powi(2);
-        }
-        slow += seconds.values().map(|s| s.1 * s.1 / s.0).sum::<f64>();
-    }
-    gap > FAR * FAR && slow > 0.5 * all
-}
-
-fn conclude(
-    m: &Material,
-    nominal: &Fit,
-    retuned: &Fit,
-    model: &Fit,
-    ambiguous: &[(EffectKind, Vec<EffectKind>)],
-) -> (Verdict, f64, f64) {
-    let unnamed = m.unnamed(model);
-    let held = m.held_problem();
-    let before = held.energy(&m.judged_residual(retuned));
-    let after = held.energy(&m.judged_residual(model));
-    let by_equation = shares(held, &before, &after, Some(&m.judged_residual(model)));
-    let explained = overall(held, &before, &by_equation);
-    // an equation that was off before, or that an effect has touched
-    let counts = |e: usize| {
-        let floor = held.rows_of(Equation::ALL[e]) as f64 * held.sensor_floor[e].powi(2);
-        before[e] > BEYOND * floor || (before[e] - after[e]).abs() > 0.05 * before[e]
-    };
-    let counted = (0..5).filter(|e| counts(*e)).filter_map(|e| by_equation[e]);
-    let worst = counted.fold(1.0, |a: f64, b| a.min(b));
-    // an effect is not that which leaves its own equation unexplained
-    let own = |t: &Term| by_equation[t.kind.equation().index()];
-    let stranger = model.terms.iter().filter_map(own).any(|s| s < NAMED_SHARE);
-    // what else is off in equations that no effect of these touches is a remainder
-    let touched = |e: usize| model.terms.iter().any(|t| t.kind.equation().index() == e);
-    let explained = if model.terms.is_empty() {
-        explained
-    } else {
-        let all: Vec<f64> = (0..5).filter(|e| touched(*e)).filter_map(|e| by_equation[e]).collect();
-        if all.is_empty() {
-            explained
-        } else {
-            all.iter().sum::<f64>() / all.len() as f64
-        }
-    };
-    let gaps = m.over_floor(held, &after);
-    // only what the sensors are known to add can be held against a name
-    let drive = m.bench.channel(m.bench.rig.drive);
-    let stated = drive.is_some_and(|d| matches!(d.noise, Noise::Known(_)));
-    let far = drifting(held, &m.held_residual(model), gaps[2]);
-    let judged = m.judged_residual(model);
-    let slow = Equation::ALL.map(|e| held.slow_energy(&judged, e, SLOW_S));
-    // greatest share of an equation's energy that a table still takes
-    let remainder = (0..5)
-        .filter(|e| after[*e] > 0.0)
-        .map(|e| unnamed[e] / after[e])
-        .fold(0.0, f64::max);
-    if model.terms.is_empty() {
-        // what a table finds, or what is far beyond the noise, is an effect that the list does not have
-        let beyond = stated
-            && (0..4).any(|e| {
-                by_equation[e].is_some()
-                    && slow[e]
-                        > if Equation::ALL[e] == Equation::Kinematic {
-                            SENSORS_APART
-                        } else {
-                            SLOWLY
-                        }
-                    && after[e] > BEYOND * held.rows_of(Equation::ALL[e]) as f64 * held.sensor_floor[e].powi(2)
-            });
-        let over = (0..4).any(|e| by_equation[e].is_some());
-        if remainder > if stated { UNKNOWN_SHARE } else { 2.5 * UNKNOWN_SHARE } && over || beyond {
-            return (Verdict::Unknown, 0.0, remainder);
-        }
-        let worse = (0..5).any(|e| nominal.score.energy[e] > 1.1 * retuned.score.energy[e]);
-        let verdict = if worse { Verdict::Retune } else { Verdict::None };
-        return (verdict, 0.0, remainder);
-    }
-    let verdict = if explained < NAMED_SHARE || stranger || far {
-        Verdict::Unknown
-    } else if worst < CLEAN_SHARE {
-        Verdict::NamedWithRemainder
-    } else if ambiguous.iter().any(|a| !a.1.is_empty()) {
-        Verdict::Ambiguous
-    } else {
-        Verdict::Named
-    };
-    (verdict, explained, remainder)
 }

@@ -1,3 +1,5 @@
+pub mod compare;
+pub mod compare_motion;
 pub mod findings;
 pub mod next;
 pub mod persist;

@@ -3,10 +3,12 @@
 use crate::equations::problem::Problem;
 use crate::measured::bench::{BenchChannel, Role};
 use crate::search::closed_loop::{ClosedLoop, closed_loop};
+use crate::search::excitation;
 use crate::search::fit::{self, Fit};
 use crate::search::intervals::{self, Intervals};
 use crate::search::select::Material;
-use crate::search::study::{Outcome, Verdict, shares};
+use crate::search::study::Outcome;
+use crate::search::verdict::{Verdict, shares};
 use crate::told::findings::*;
 use crate::told::places;
 use sim_worker::effect::{EffectKind, Equation};
@@ -33,10 +35,6 @@ pub(super) fn to_channel(m: &Material, e: Equation) -> f64 {
         Equation::Torque => 1.0 / m.bench.rig.drive_constant.value,
         _ => 1.0,
     }
-}
-
-fn rms(p: &Problem, e: Equation, energy: &[f64; 5]) -> f64 {
-    (energy[e.index()] / p.rows_of(e).max(1) as f64).sqrt()
 }
 
 /// Everything that a study has to say, but for what is written into the model.
@@ -67,7 +65,7 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
         by_channel,
         regions,
         leaders: leaders(o),
-        not_excited: not_excited(m),
+        not_excited: excitation::not_excited(m),
         missing: missing(m),
         unnamed_share: if matches!(o.verdict, Verdict::None | Verdict::Retune) {
             0.0
@@ -203,7 +201,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
             let step = accepted.iter().find(|s| s.taken.contains(&term.kind));
             let runner_up = step.and_then(|s| s.ranked.iter().map(|r| r.term.kind).find(|k| *k != term.kind));
             let share = step.map_or(0.0, |s| {
-                let by = shares(&m.fit, &s.held_before, &s.held_after, None);
+                let by = shares(&m.fit, &s.before, &s.after, None);
                 by[term.kind.equation().index()]
                     .or(by.into_iter().flatten().next())
                     .unwrap_or(0.0)
@@ -221,21 +219,15 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     .filter(|a| a.0 == term.kind)
                     .flat_map(|a| a.1.iter().map(|k| k.name().to_string()))
                     .collect(),
-                channel: channel(m, live(m, term.kind)).0.to_string(),
+                channel: channel(m, m.seen_in(term.kind)).0.to_string(),
                 heldout: o.proofs.iter().find(|p| p.0 == term.kind).map(|p| {
-                    let c = to_channel(m, live(m, term.kind));
+                    let c = to_channel(m, m.seen_in(term.kind));
                     (c * p.1, c * p.2)
                 }),
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
         })
         .collect()
-}
-
-/// The equation in which an effect is seen here.
-fn live(m: &Material, kind: EffectKind) -> Equation {
-    let e = kind.equation();
-    if m.fit.rows_of(e) > 0 { e } else { Equation::Torque }
 }
 
 /// What friction and eccentricity say of a unit of unknown health, against what the model's file calls healthy.
@@ -313,9 +305,9 @@ fn gaps(o: &Outcome) -> Vec<ChannelGap> {
             let c = to_channel(m, e);
             let (name, unit) = channel(m, e);
             let line = |p: &Problem, nominal: &[f64; 5], retuned: &[f64; 5], last: &[f64; 5]| GapLine {
-                nominal: c * rms(p, e, nominal),
-                retuned: c * rms(p, e, retuned),
-                last: c * rms(p, e, last),
+                nominal: c * p.rms(e, nominal),
+                retuned: c * p.rms(e, retuned),
+                last: c * p.rms(e, last),
                 floor: c * p.floor_of(e),
             };
             ChannelGap {
@@ -361,71 +353,6 @@ fn leaders(o: &Outcome) -> Vec<Leader> {
     out
 }
 
-/// Effects that the data cannot show, and why.
-pub fn not_excited(m: &Material) -> Vec<(String, String)> {
-    use EffectKind as K;
-    let has = |c: BenchChannel| m.has(c);
-    let span = |f: &dyn Fn(&crate::equations::signals::Signals) -> Vec<f64>| -> f64 {
-        let (low, high) = m
-            .fit
-            .signals
-            .iter()
-            .flat_map(f)
-            .fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-        high - low
-    };
-    let stroke = span(&|s| s.theta.clone());
-    let warm = has(BenchChannel::Temperature).then(|| span(&|s| s.temperature.clone().unwrap_or_default()));
-    let loads = span(&|s| s.load_level.clone());
-    let torque = m
-        .fit
-        .signals
-        .iter()
-        .flat_map(|s| &s.drive)
-        .fold(0.0, |a: f64, u| a.max(u.abs()))
-        * m.bench.rig.drive_constant.value;
-    let electrical = m.equations.contains(&Equation::Electrical);
-    let fastest = m
-        .fit
-        .signals
-        .iter()
-        .flat_map(|s| &s.omega)
-        .fold(0.0, |a: f64, w| a.max(w.abs()));
-    // with a nominal drag of a twentieth of the torque, a change of it shows
-    let slow = m.constants.effect.viscous * fastest < 0.005 * torque && stroke > 0.0;
-    let why = |k: K| -> Option<&'static str> {
-        match k {
-            K::LoadDependentFriction if !has(BenchChannel::Load) => Some("no channel `load`"),
-            K::LoadDependentFriction if loads < 0.02 * torque => Some("the load hardly changes"),
-            K::TemperatureDependentFriction if warm.is_none() => Some("no channel `temperature`"),
-            K::WindingHeating if !electrical => Some("no voltage beside a measured current"),
-            K::TemperatureDependentFriction | K::WindingHeating if warm.is_some_and(|w| w < 3.0) => {
-                Some("the temperature changes by less than 3 K")
-            }
-            K::SupplySag | K::DeadTime | K::CurrentGain if !electrical => Some("no voltage beside a measured current"),
-            K::Backlash if !has(BenchChannel::UserPosition) => Some("no channel `user_position`"),
-            K::EncoderEccentricity if !has(BenchChannel::UserPosition) && !has(BenchChannel::Velocity) => {
-                Some("no second sensor of the motion")
-            }
-            K::ControlDelay if m.bench.rig.controller.is_none() || !m.has(BenchChannel::Command) => {
-                Some("no command, or no law in [rig.controller]")
-            }
-            K::Eccentricity if stroke < 0.5 => Some("the motor turns by less than half a radian"),
-            K::PeriodicFriction | K::Cogging | K::TorqueRipple | K::CommutationOffset | K::TurnShort
-                if stroke < std::f64::consts::TAU =>
-            {
-                Some("the motor turns by less than one turn")
-            }
-            K::QuadraticDrag | K::ViscousAsymmetry if slow => Some("too slow for drag to show"),
-            _ => None,
-        }
-    };
-    K::ALL
-        .iter()
-        .filter_map(|k| why(*k).map(|w| (k.name().to_string(), w.to_string())))
-        .collect()
-}
-
 fn missing(m: &Material) -> Vec<(String, String)> {
     use BenchChannel as C;
     let opens = [
@@ -441,7 +368,8 @@ fn missing(m: &Material) -> Vec<(String, String)> {
     ];
     let mut out: Vec<(String, String)> = opens
         .iter()
-        .filter(|(c, _)| !m.has(*c))
+        // three phases stand for the voltage
+        .filter(|(c, _)| !(m.has(*c) || *c == C::Voltage && m.equations.contains(&Equation::Electrical)))
         .map(|(c, t)| (c.name().to_string(), t.to_string()))
         .collect();
     if m.held.is_none() {
@@ -460,7 +388,7 @@ fn unnamed(o: &Outcome, regions: &[Region]) -> String {
         .iter()
         .filter(|e| **e != Equation::Controller)
         .max_by(|a, b| {
-            let gap = |e: &Equation| rms(m.held_problem(), *e, &o.held_model) / m.held_problem().floor_of(*e);
+            let gap = |e: &Equation| m.held_problem().rms(*e, &o.held_model) / m.held_problem().floor_of(*e);
             gap(a).total_cmp(&gap(b))
         });
     let e = *worst.unwrap_or(&Equation::Torque);
@@ -482,7 +410,7 @@ fn unnamed(o: &Outcome, regions: &[Region]) -> String {
             _ => "signal",
         },
         e.name(),
-        rms(m.held_problem(), e, &o.held_model) / m.held_problem().floor_of(e),
+        m.held_problem().rms(e, &o.held_model) / m.held_problem().floor_of(e),
         relatives.join(", "),
         100.0 * o.remainder
     )
@@ -576,8 +504,8 @@ fn facts(o: &Outcome, closed: &[ClosedLoop]) -> Vec<(String, String)> {
 
 fn assumptions(m: &Material) -> Vec<String> {
     let mut out = vec![
-        "sensors: gain 0.6 %, offset a tenth of the noise, clocks 15 % of a sample apart (one sigma)".to_string(),
-        "an effect is taken for a gain of 15 in log-likelihood, held-out data that get better in 97.5 % of block draws, and 30 % of what is left explained".to_string(),
+        "sensors: gain 0.6 %, offset of the drive 0.2 % of its range, clocks 15 % of a sample apart (one sigma)".to_string(),
+        "an effect is taken for a gain of 12 in log-likelihood beyond what its parameters cost, data that did not fix its amplitudes and get better in 97.5 % of block draws, and 30 % of what is left explained; held-out data, seen once, prove it".to_string(),
     ];
     if !m.bench.rig.from_model.is_empty() {
         out.push(format!(

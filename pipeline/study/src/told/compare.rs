@@ -3,7 +3,7 @@
 
 use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::measured::recording::Run;
-use crate::search::compare_motion::{
+use crate::told::compare_motion::{
     FEATURES, MEAN, Record, SETTLED, STANDSTILL, difference, features, largest, mean, part, record, rms, scatter,
     stretches,
 };

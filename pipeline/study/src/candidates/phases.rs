@@ -1,0 +1,141 @@
+//! Effects that three measured phases tell apart: what each would add to the torque and to the equations of the phases.
+
+use crate::equations::pieces::{Column, Piece, RigConstants};
+use crate::equations::signals::{Phases, SUPPLY, Signals};
+use sim_worker::effect::{self, EffectKind, Equation};
+use std::f64::consts::TAU;
+
+/// What the phases make of an effect that changes their constants: amplitudes' columns of torque and phase voltages.
+///
+/// * `share` of phase `q` at an angle, of its torque and back-EMF constant
+fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) -> f64) -> Column {
+    let ke = 0.5 * c.effect.torque_constant;
+    let mut torque = vec![0.0; s.n];
+    let mut column = Vec::new();
+    for q in 0..3 {
+        let shape = p.mean_over_support(s, q, |theta, trap| trap * share(q, theta));
+        for k in 0..s.n {
+            // what the phase gives is not asked of the drive
+            torque[k] -= ke * p.current[q][k] * shape[k];
+        }
+        if p.voltage.is_some() {
+            let whole = p.mean(s, |theta| {
+                effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64) * share(q, theta)
+            });
+            let signal = (0..s.n).map(|k| ke * s.omega[k] * whole[k]).collect();
+            column.push(Piece {
+                equation: Equation::Electrical,
+                order: 0,
+                signal,
+                phase: Some(q),
+            });
+        }
+    }
+    column.push(Piece {
+        equation: Equation::Torque,
+        order: 0,
+        signal: torque,
+        phase: None,
+    });
+    column
+}
+
+/// As [`super::columns::contribution`], of effects that the phases tell apart; `None` for all others.
+pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants) -> Option<Vec<Column>> {
+    let p = s.phases.as_ref()?;
+    let voltages = |f: &dyn Fn(usize, usize) -> f64| -> Column {
+        (0..3)
+            .map(|q| Piece {
+                equation: Equation::Electrical,
+                order: 0,
+                signal: (0..s.n).map(|k| f(q, k)).collect(),
+                phase: Some(q),
+            })
+            .collect()
+    };
+    let (r, l, ke) = (
+        0.5 * c.effect.resistance,
+        0.5 * c.effect.inductance,
+        0.5 * c.effect.torque_constant,
+    );
+    Some(match kind {
+        EffectKind::Eccentricity => {
+            let at = |q: usize, theta: f64| theta + TAU / 3.0 * q as f64;
+            vec![
+                phased(s, p, c, |q, t| at(q, t).cos()),
+                phased(s, p, c, |q, t| -at(q, t).sin()),
+            ]
+        }
+        EffectKind::TorqueRipple => vec![
+            phased(s, p, c, |_, t| (shape[0] * t).cos()),
+            phased(s, p, c, |_, t| -(shape[0] * t).sin()),
+        ],
+        EffectKind::TurnShort => {
+            let short = shape[0] as usize;
+            let mut column = phased(s, p, c, |q, _| if q == short { -1.0 } else { 0.0 });
+            if p.voltage.is_some() {
+                for (order, factor) in [(0, -r), (1, -l)] {
+                    column.push(Piece {
+                        equation: Equation::Electrical,
+                        order,
+                        signal: p.current[short].iter().map(|i| factor * i).collect(),
+                        phase: Some(short),
+                    });
+                }
+            }
+            vec![column]
+        }
+        EffectKind::DeadTime if p.voltage.is_some() => {
+            // half of it in each of the two legs that conduct
+            vec![voltages(&|q, k| 0.5 * (p.current[q][k] / 0.05).tanh())]
+        }
+        EffectKind::SupplySag if p.supply.is_some() && p.voltage.is_some() => {
+            let (v, dc) = (p.voltage.as_ref()?, p.supply.as_ref()?);
+            let draw = |k: usize| (0..3).map(|q| v[q][k] * p.current[q][k]).sum::<f64>() / dc[k].max(1.0);
+            vec![vec![Piece {
+                equation: Equation::Electrical,
+                order: 0,
+                signal: (0..s.n).map(|k| -draw(k)).collect(),
+                phase: Some(SUPPLY),
+            }]]
+        }
+        EffectKind::WindingHeating if p.voltage.is_some() && s.temperature.is_none() => {
+            // a winding that is warm from the beginning on
+            vec![voltages(&|q, k| r * effect::COPPER_PER_K * p.current[q][k])]
+        }
+        EffectKind::CurrentGain if p.voltage.is_some() => {
+            let mut column = voltages(&|q, k| -r * p.current[q][k]);
+            column.push(Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: s.drive.iter().map(|i| c.effect.torque_constant * i).collect(),
+                phase: None,
+            });
+            vec![column]
+        }
+        EffectKind::CurrentOffset => {
+            let q = shape[0] as usize;
+            let mut column: Column = vec![Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: p.mean_over_support(s, q, |_, trap| ke * trap),
+                phase: None,
+            }];
+            if p.voltage.is_some() {
+                column.push(Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: vec![-r; s.n],
+                    phase: Some(q),
+                });
+            }
+            vec![column]
+        }
+        EffectKind::SupplySag | EffectKind::DeadTime | EffectKind::WindingHeating | EffectKind::CurrentGain => {
+            Vec::new()
+        }
+        // in currents that are measured there is nothing of the angle that they were commutated by
+        EffectKind::CommutationOffset => Vec::new(),
+        _ => return None,
+    })
+}

@@ -1,0 +1,158 @@
+//! What is fitted along with every model: constants of the machine and imperfections of its sensors, with what is
+//! believed of each; and which equations the channels open.
+
+use crate::equations::pieces::RigConstants;
+use crate::equations::signals::{Clock, NoiseTable};
+use crate::measured::bench::{Bench, BenchChannel, Known};
+use crate::measured::recording::{Run, range};
+use sim_worker::effect::{Constants, Equation};
+
+/// Uncertainty of what is never perfect in sensors, one sigma (assumed): gain, offset over noise,
+/// clock between channels over the sample.
+const SENSOR_GAIN: f64 = 0.006;
+const SENSOR_OFFSET: f64 = 0.1;
+/// Offset of a current sensor over the range it saw, one sigma (assumed).
+pub const SENSOR_OFFSET_OF_RANGE: f64 = 0.002;
+const SENSOR_CLOCK: f64 = 0.15;
+/// Offset of a voltage over its noise, one sigma (assumed): amplifiers drift more than current sensors.
+const VOLTAGE_OFFSET: f64 = 0.4;
+/// A nuisance parameter of the whole study.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Nuisance {
+    pub name: &'static str,
+    /// one sigma of its relative deviation; `None` = free
+    pub trust: Option<f64>,
+    /// where the prior has its middle: 0, or elsewhere once the equations stand around a better value
+    pub centre: f64,
+    /// value that the deviation is relative to, SI at the motor
+    pub nominal: f64,
+    pub unit: &'static str,
+    /// a property of the machine rather than of its sensors
+    pub of_machine: bool,
+}
+
+/// The rig's constants as the equations use them.
+pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
+    let rig = &bench.rig;
+    RigConstants {
+        effect: Constants {
+            torque_constant: rig.drive_constant.value,
+            coulomb: rig.coulomb.value,
+            viscous: rig.viscous.value,
+            resistance: rig.resistance.value,
+            inductance: rig.inductance.value,
+            pole_pairs: rig.pole_pairs,
+        },
+        inertia: rig.inertia.value,
+        back_emf: rig.back_emf.value,
+        supply_voltage: rig.supply_voltage,
+        measured_current: rig.drive == BenchChannel::Current,
+        motor: matches!(rig.drive, BenchChannel::Current | BenchChannel::Voltage),
+        from_position: clock.from_position,
+        encoder: (0.0, 0.0),
+        speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
+    }
+}
+
+/// The nuisance parameters of a bench: the machine's, then the sensors'.
+pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[Equation]) -> Vec<Nuisance> {
+    let rig = &bench.rig;
+    let machine = |name, k: &Known, unit| Nuisance {
+        name,
+        trust: k.trust,
+        centre: 0.0,
+        nominal: k.value,
+        unit,
+        of_machine: true,
+    };
+    let sensor = |name, sigma: f64, unit| Nuisance {
+        name,
+        trust: Some(sigma),
+        centre: 0.0,
+        nominal: 1.0,
+        unit,
+        of_machine: false,
+    };
+    let noise_of = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
+    let has = |e: Equation| equations.contains(&e);
+    let mut out = vec![
+        machine("inertia", &rig.inertia, "kg m2"),
+        machine("viscous", &rig.viscous, "N m s/rad"),
+        machine("coulomb", &rig.coulomb, "N m"),
+        machine("torque_constant", &rig.drive_constant, "N m/A"),
+    ];
+    if rig.offset != 0.0 {
+        let offset = Known {
+            value: rig.offset,
+            trust: None,
+        };
+        out.push(machine("offset", &offset, "N m"));
+    }
+    // a command that its drive follows late has an effect of its own for it, where the law is known
+    if rig.drive == BenchChannel::Current || rig.controller.is_none() {
+        out.push(sensor("drive_clock", SENSOR_CLOCK, "sample"));
+    }
+    let spec = bench.channel(rig.drive);
+    let offset = spec.and_then(|s| s.offset).unwrap_or_else(|| {
+        let of_range = SENSOR_OFFSET_OF_RANGE * range(&runs.iter().collect::<Vec<_>>(), rig.drive);
+        (SENSOR_OFFSET * noise_of(rig.drive)).max(of_range)
+    });
+    if offset > 0.0 && !runs.iter().any(|r| r.steady) {
+        out.push(sensor("drive_offset", offset, rig.drive.quantity().si()));
+    }
+    if has(Equation::Electrical) {
+        out.push(machine("resistance", &rig.resistance, "ohm"));
+        out.push(machine("inductance", &rig.inductance, "H"));
+        // gains of six sensors are as good as none: scale is what the machine's own constants say
+        let gain = if bench.has_phases() { 1e-4 } else { SENSOR_GAIN };
+        out.push(sensor("drive_gain", gain, "-"));
+        out.push(sensor(
+            "voltage_offset",
+            VOLTAGE_OFFSET * noise_of(BenchChannel::Voltage),
+            "V",
+        ));
+        out.push(sensor("voltage_gain", gain, "-"));
+        out.push(sensor("voltage_clock", SENSOR_CLOCK, "sample"));
+    }
+    if has(Equation::Transmission) && rig.play > 0.0 {
+        let play = Known {
+            value: rig.play,
+            trust: Some(1.0),
+        };
+        out.push(machine("play", &play, "rad"));
+    }
+    if has(Equation::Transmission) {
+        out.push(sensor("user_clock", SENSOR_CLOCK, "sample"));
+    }
+    if has(Equation::Kinematic) {
+        out.push(sensor("velocity_gain", SENSOR_GAIN, "-"));
+        out.push(sensor("velocity_offset", noise_of(BenchChannel::Velocity), "rad/s"));
+        out.push(sensor("velocity_clock", SENSOR_CLOCK, "sample"));
+    }
+    if has(Equation::Controller) {
+        out.push(sensor("law_gain", 0.05, "-"));
+        out.push(sensor("law_clock", 0.1, "sample"));
+    }
+    out
+}
+
+/// Which equations the channels of all runs open.
+pub fn equations(bench: &Bench, runs: &[&Run]) -> Vec<Equation> {
+    let has = |c: BenchChannel| runs.iter().all(|r| r.channel(c).is_some());
+    let current = bench.rig.drive == BenchChannel::Current;
+    let mut out = vec![Equation::Torque];
+    let phases = bench.has_phases() && BenchChannel::VOLTAGES.iter().all(|c| has(*c));
+    if current && (has(BenchChannel::Voltage) || phases) {
+        out.push(Equation::Electrical);
+    }
+    if has(BenchChannel::Position) && has(BenchChannel::UserPosition) {
+        out.push(Equation::Transmission);
+    }
+    if has(BenchChannel::Position) && has(BenchChannel::Velocity) {
+        out.push(Equation::Kinematic);
+    }
+    if bench.rig.controller.is_some() && has(BenchChannel::Command) && current {
+        out.push(Equation::Controller);
+    }
+    out
+}

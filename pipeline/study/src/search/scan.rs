@@ -1,0 +1,382 @@
+//! Profile likelihood of candidates on top of a model: every kind with its best shape.
+
+use crate::candidates::columns::{self, Form};
+use crate::candidates::shapes;
+use crate::equations::nuisances::Nuisance;
+use crate::equations::pieces::RigConstants;
+use crate::equations::problem::Problem;
+use crate::search::fit::{Regressor, Score, Term, dot, log_likelihood};
+use crate::search::spectrum;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use sim_worker::effect::{EffectKind, Equation};
+
+/// Orthonormal basis of what is fitted already, weighted, with the priors as further rows.
+pub struct Basis {
+    q: Vec<Vec<f64>>,
+    weights: Vec<f64>,
+    extra: usize,
+}
+
+impl Basis {
+    pub fn new(p: &Problem, weights: &[f64], nuisances: &[Nuisance], further: &[&Vec<f64>]) -> Self {
+        let extra = nuisances.len() + p.local.len();
+        let mut basis = Self {
+            q: Vec::new(),
+            weights: weights.to_vec(),
+            extra,
+        };
+        for (j, (column, n)) in p.base.iter().zip(nuisances).enumerate() {
+            let mut c = basis.extended(column);
+            if let Some(sigma) = n.trust {
+                c[p.rows + j] = 1.0 / sigma.max(1e-9);
+            }
+            basis.push(c);
+        }
+        for (j, (column, trust)) in p.local.iter().zip(&p.local_trust).enumerate() {
+            let mut c = basis.extended(column);
+            if let Some(sigma) = trust {
+                c[p.rows + nuisances.len() + j] = 1.0 / sigma.max(1e-12);
+            }
+            basis.push(c);
+        }
+        for column in further {
+            let c = basis.extended(column);
+            basis.push(c);
+        }
+        basis
+    }
+
+    /// A column, weighted, with zeros where the priors stand.
+    pub fn extended(&self, column: &[f64]) -> Vec<f64> {
+        let mut c = Vec::with_capacity(column.len() + self.extra);
+        c.extend(column.iter().zip(&self.weights).map(|(x, w)| x * w));
+        c.resize(column.len() + self.extra, 0.0);
+        c
+    }
+
+    fn push(&mut self, mut c: Vec<f64>) {
+        let before = dot(&c, &c).sqrt();
+        self.project(&mut c);
+        self.project(&mut c);
+        let norm = dot(&c, &c).sqrt();
+        if norm > 1e-7 * before && norm > 0.0 {
+            c.iter_mut().for_each(|x| *x /= norm);
+            self.q.push(c);
+        }
+    }
+
+    /// Takes the basis out of a weighted column.
+    pub fn project(&self, c: &mut [f64]) {
+        for q in &self.q {
+            let s = dot(q, c);
+            c.iter_mut().zip(q).for_each(|(c, q)| *c -= s * q);
+        }
+    }
+}
+
+/// What candidates are measured against.
+pub struct Scan<'a> {
+    pub problem: &'a Problem,
+    pub constants: &'a RigConstants,
+    pub basis: Basis,
+    /// weighted left-hand side less everything fitted
+    residual: Vec<f64>,
+    /// weighted drive torque
+    drive: Vec<f64>,
+    /// standard deviation used for each equation
+    sigma: [f64; 5],
+    count: [f64; 5],
+    /// without a further effect
+    pub none: Score,
+    /// orders of the rotor turn that stand out of the residual, by the kind that would make them
+    orders: std::collections::BTreeMap<EffectKind, Vec<f64>>,
+}
+
+impl<'a> Scan<'a> {
+    /// * `y` left-hand side less the fixed parts of the effects in the model, whose columns are `further`
+    pub fn new(
+        p: &'a Problem,
+        constants: &'a RigConstants,
+        nuisances: &[Nuisance],
+        y: &[f64],
+        further: &[&Vec<f64>],
+        sigma: [f64; 5],
+    ) -> Self {
+        let basis = Basis::new(p, &p.weights(&sigma), nuisances, further);
+        let mut residual = basis.extended(y);
+        for (j, n) in nuisances.iter().enumerate() {
+            if let Some(sigma) = n.trust {
+                residual[p.rows + j] = n.centre / sigma.max(1e-9);
+            }
+        }
+        basis.project(&mut residual);
+        let count = Equation::ALL.map(|e| p.rows_of(e) as f64);
+        let drive = basis.extended(&p.drive);
+        let mut scan = Self {
+            problem: p,
+            constants,
+            basis,
+            residual: Vec::new(),
+            drive,
+            sigma,
+            count,
+            none: Score {
+                log_likelihood: 0.0,
+                energy: [0.0; 5],
+                amplitudes: Vec::new(),
+            },
+            orders: Default::default(),
+        };
+        scan.none = scan.scored(&residual, Vec::new());
+        scan.residual = residual;
+        scan
+    }
+
+    /// Looks for orders that are no whole numbers, too: the spectrum of the residual torque over the angle, as it
+    /// is, with the sign of the motion, and with the drive.
+    pub fn with_orders(mut self) -> Self {
+        let p = self.problem;
+        let unweighted: Vec<f64> = self.residual[..p.rows]
+            .iter()
+            .zip(&self.basis.weights)
+            .map(|(r, w)| r / w)
+            .collect();
+        let kinds: [(EffectKind, spectrum::Factor); 3] = [
+            (EffectKind::Cogging, |_, _| 1.0),
+            (EffectKind::PeriodicFriction, |s, k| s.sign[k]),
+            (EffectKind::TorqueRipple, |s, k| s.drive[k]),
+        ];
+        for (kind, factor) in kinds {
+            self.orders.insert(kind, spectrum::orders(p, &unweighted, factor));
+        }
+        self
+    }
+
+    fn scored(&self, weighted: &[f64], amplitudes: Vec<f64>) -> Score {
+        let p = self.problem;
+        let mut energy = p.energy(&weighted[..p.rows]);
+        for e in 0..5 {
+            energy[e] *= self.sigma[e].powi(2);
+        }
+        let prior = dot(&weighted[p.rows..], &weighted[p.rows..]);
+        Score {
+            log_likelihood: log_likelihood(p, &energy, &self.count, prior),
+            energy,
+            amplitudes,
+        }
+    }
+
+    /// Score with one more effect of this shape, or `None` where it cannot act or its sign is not physical.
+    pub fn score(&self, kind: EffectKind, shape: &[f64]) -> Option<Score> {
+        let r = Regressor::new(self.problem, kind, shape, self.constants);
+        self.score_of(kind, &r)
+    }
+
+    fn score_of(&self, kind: EffectKind, r: &Regressor) -> Option<Score> {
+        if r.is_empty() {
+            return None;
+        }
+        let mut rest = self.residual.clone();
+        if let Some(fixed) = &r.fixed {
+            let mut f = self.basis.extended(fixed);
+            self.basis.project(&mut f);
+            rest.iter_mut().zip(&f).for_each(|(r, f)| *r -= f);
+        }
+        let mut free: Vec<Vec<f64>> = Vec::new();
+        for c in &r.linear {
+            let mut c = self.basis.extended(c);
+            let before = dot(&c, &c);
+            if !self.constants.measured_current && self.is_regressand(kind, &c, before) {
+                return None;
+            }
+            self.basis.project(&mut c);
+            let after = dot(&c, &c);
+            // hardly anything of its own: not excited, or the regressand in disguise
+            if !(after > 1e-6 * before && after > 1e-12) {
+                return None;
+            }
+            free.push(c);
+        }
+        let m = free.len();
+        let mut amplitudes = Vec::new();
+        if m > 0 {
+            let gram = DMatrix::from_fn(m, m, |i, j| dot(&free[i], &free[j]));
+            let right = DVector::from_fn(m, |i, _| dot(&free[i], &rest));
+            amplitudes = gram.cholesky()?.solve(&right).iter().copied().collect();
+            if !admissible(kind, &amplitudes) {
+                return None;
+            }
+            for (a, c) in amplitudes.iter().zip(&free) {
+                rest.iter_mut().zip(c).for_each(|(r, c)| *r -= a * c);
+            }
+        }
+        Some(self.scored(&rest, amplitudes))
+    }
+
+    /// Whether a column of an effect in the drive signal is the drive signal itself, which would explain
+    /// itself: more than 98 % of it.
+    fn is_regressand(&self, kind: EffectKind, column: &[f64], energy: f64) -> bool {
+        let of_drive = matches!(
+            kind,
+            EffectKind::TorqueSaturation | EffectKind::DeadTime | EffectKind::CurrentGain
+        );
+        let s = dot(column, &self.drive);
+        of_drive && s * s > 0.9 * energy * dot(&self.drive, &self.drive)
+    }
+
+    /// The best shape of a kind: over its grid, then refined.
+    pub fn best(&self, kind: EffectKind) -> Option<(Term, Score)> {
+        let mut shapes = shapes::grid(kind, &self.problem.signals, self.constants);
+        if let Some(orders) = &self.orders.get(&kind) {
+            shapes.extend(orders.iter().map(|n| vec![*n]));
+        }
+        let scored: Vec<(Vec<f64>, Score)> = shapes
+            .into_par_iter()
+            .filter(|s| self.inside(kind, s))
+            .filter_map(|s| self.score(kind, &s).map(|x| (s, x)))
+            .collect();
+        let better = |a: &&(Vec<f64>, Score), b: &&(Vec<f64>, Score)| a.1.log_likelihood.total_cmp(&b.1.log_likelihood);
+        let (shape, score) = scored.iter().max_by(better)?;
+        Some(self.refined(kind, shape, score, 40))
+    }
+
+    /// Refines the shape parameters by a simplex search on the profile likelihood.
+    pub fn refined(&self, kind: EffectKind, shape: &[f64], score: &Score, steps: usize) -> (Term, Score) {
+        let scales = shapes::scales(kind);
+        let free: Vec<usize> = (0..scales.len()).filter(|i| scales[*i].is_some()).collect();
+        let limits = shapes::limits(kind, &self.problem.signals);
+        let plain = |x: &[f64]| -> Vec<f64> {
+            let mut s = shape.to_vec();
+            for (j, &i) in free.iter().enumerate() {
+                s[i] = if scales[i] == Some(true) { x[j].exp() } else { x[j] };
+                s[i] = s[i].clamp(limits[i].0, limits[i].1);
+            }
+            s
+        };
+        let mut best = (shape.to_vec(), score.clone());
+        if !free.is_empty() {
+            let start: Vec<f64> = free
+                .iter()
+                .map(|&i| {
+                    if scales[i] == Some(true) {
+                        shape[i].ln()
+                    } else {
+                        shape[i]
+                    }
+                })
+                .collect();
+            let step: Vec<f64> = free
+                .iter()
+                .map(|&i| match (kind, scales[i]) {
+                    (EffectKind::TightSpot, Some(false)) => 0.5 * shape[1],
+                    (EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple, _) => {
+                        self.order_step()
+                    }
+                    (EffectKind::Stribeck, Some(false)) => 0.3,
+                    (EffectKind::Backlash, Some(false)) => 0.3 * shape[i].max(1e3),
+                    (_, Some(true)) => 0.35,
+                    _ => 0.08,
+                })
+                .collect();
+            simplex(&start, &step, steps, |x| {
+                let s = plain(x);
+                match self.score(kind, &s).filter(|_| self.inside(kind, &s)) {
+                    Some(score) => {
+                        let value = -score.log_likelihood;
+                        if score.log_likelihood > best.1.log_likelihood {
+                            best = (s, score);
+                        }
+                        value
+                    }
+                    None => f64::MAX,
+                }
+            });
+        }
+        let term = Term {
+            kind,
+            shape: best.0,
+            amplitudes: best.1.amplitudes.clone(),
+        };
+        (term, best.1)
+    }
+
+    /// Whether a tight spot lies within the travel, so far that friction is seen to fall again on both
+    /// sides: else it may as well be the end of the stroke.
+    fn inside(&self, kind: EffectKind, shape: &[f64]) -> bool {
+        if kind != EffectKind::TightSpot {
+            return true;
+        }
+        let (low, high) = self.problem.travel();
+        shape[0] - 2.0 * shape[1] > low && shape[0] + 2.0 * shape[1] < high
+    }
+
+    /// A tenth of the order that a whole turn more over the stroke makes.
+    fn order_step(&self) -> f64 {
+        let (low, high) = self.problem.travel();
+        0.1 * std::f64::consts::TAU / (high - low).max(1e-9)
+    }
+}
+
+/// Whether amplitudes have the sign that physics allows.
+pub fn admissible(kind: EffectKind, amplitudes: &[f64]) -> bool {
+    match columns::form(kind) {
+        Form::Amplitude => {
+            let key = &kind.keys()[0];
+            amplitudes[0] >= key.low.min(0.0) && amplitudes[0] <= key.high.max(0.0) && amplitudes[0] != 0.0
+        }
+        // a little negative damping is noise
+        Form::Presliding | Form::Heating => amplitudes[0] > 0.0,
+        _ => true,
+    }
+}
+
+/// Nelder and Mead's simplex; `f` keeps its best itself.
+pub fn simplex(start: &[f64], step: &[f64], calls: usize, mut f: impl FnMut(&[f64]) -> f64) {
+    let n = start.len();
+    let mut points: Vec<(Vec<f64>, f64)> = vec![(start.to_vec(), f(start))];
+    for i in 0..n {
+        let mut x = start.to_vec();
+        x[i] += step[i];
+        let y = f(&x);
+        points.push((x, y));
+    }
+    let mut used = n + 1;
+    while used < calls {
+        points.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let spread = points[n].1 - points[0].1;
+        if spread.abs() < 1e-3 {
+            break;
+        }
+        let centre: Vec<f64> = (0..n)
+            .map(|i| points[..n].iter().map(|p| p.0[i]).sum::<f64>() / n as f64)
+            .collect();
+        let at = |t: f64| -> Vec<f64> { (0..n).map(|i| centre[i] + t * (points[n].0[i] - centre[i])).collect() };
+        let mut call = |x: Vec<f64>| {
+            used += 1;
+            let y = f(&x);
+            (x, y)
+        };
+        let reflected = call(at(-1.0));
+        if reflected.1 < points[0].1 {
+            let expanded = call(at(-2.0));
+            points[n] = if expanded.1 < reflected.1 { expanded } else { reflected };
+        } else if reflected.1 < points[n - 1].1 {
+            points[n] = reflected;
+        } else {
+            let contracted = if reflected.1 < points[n].1 {
+                call(at(-0.5))
+            } else {
+                call(at(0.5))
+            };
+            if contracted.1 < points[n].1.min(reflected.1) {
+                points[n] = contracted;
+            } else {
+                for i in 1..=n {
+                    let x: Vec<f64> = (0..n).map(|j| 0.5 * (points[0].0[j] + points[i].0[j])).collect();
+                    points[i] = call(x);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! How a study ended, from what its models leave of the held-out data.
+
+use crate::equations::problem::Problem;
+use crate::measured::bench::Noise;
+use crate::search::fit::{Fit, Term};
+use crate::search::select::Material;
+use sim_worker::effect::{EffectKind, Equation};
+
+/// Energy over that of the noise from which an equation has an excess that is worth a share.
+pub const WORTH: f64 = 1.1;
+/// An effect is named when it and those before it explain this share of the excess energy.
+pub const NAMED_SHARE: f64 = 0.70;
+/// Where every equation has this share of its excess explained, nothing remains to be named.
+pub const CLEAN_SHARE: f64 = 0.85;
+/// Gap over the noise in the transmission beyond which a slow one is no spring and no play (assumed).
+const FAR: f64 = 3.5;
+/// Energy over that of the noise that cannot be the noise's, with nothing found (assumed).
+const BEYOND: f64 = 1.35;
+/// Time over which a torque or voltage that is missing keeps its sign at least (assumed) [s].
+const SLOW_S: f64 = 0.02;
+/// Energy over that of the noise of means over this time that is no noise, with nothing found (assumed); of two
+/// sensors of one motion, whose own errors are many, more.
+const SLOWLY: f64 = 2.0;
+const SENSORS_APART: f64 = 12.0;
+/// A table that takes more than this share of an equation's energy has found something (assumed).
+pub const UNKNOWN_SHARE: f64 = 0.10;
+/// Most that the noise seen from row to row may be over that of the sensors (assumed).
+const ROUGH: f64 = 2.0;
+
+/// How a study ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    None,
+    Retune,
+    Named,
+    NamedWithRemainder,
+    Ambiguous,
+    Unknown,
+    /// effects were found, and no data are left to prove them
+    Candidate,
+}
+
+impl Verdict {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Retune => "retune",
+            Self::Named => "named",
+            Self::NamedWithRemainder => "named_with_remainder",
+            Self::Ambiguous => "ambiguous",
+            Self::Unknown => "unknown",
+            Self::Candidate => "candidate",
+        }
+    }
+}
+
+/// By equation: share of the held-out excess over the noise that was explained; `None` where there
+/// was none worth the name.
+pub fn shares(p: &Problem, before: &[f64; 5], after: &[f64; 5], residual: Option<&[f64]>) -> [Option<f64>; 5] {
+    let noise: [f64; 5] = std::array::from_fn(|e| residual.map_or(0.0, |r| rough_energy(p, r, e)));
+    std::array::from_fn(|e| {
+        // the controller's own equation has no floor that is known
+        let floor = if Equation::ALL[e] == Equation::Controller {
+            after[e].min(before[e])
+        } else {
+            p.sensor_energy(e).max(noise[e])
+        };
+        (p.rows_of(Equation::ALL[e]) > 0 && before[e] > WORTH * floor)
+            .then(|| 1.0 - (after[e] - floor).max(0.0) / (before[e] - floor))
+    })
+}
+
+/// The shares as one: weighted by the logarithm of how far each equation was off.
+pub fn overall(p: &Problem, before: &[f64; 5], shares: &[Option<f64>; 5]) -> f64 {
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for e in 0..5 {
+        if let Some(share) = shares[e] {
+            let n = p.rows_of(Equation::ALL[e]) as f64;
+            let weight = n * (before[e] / p.sensor_energy(e)).ln().max(0.1);
+            sum += weight * share;
+            weights += weight;
+        }
+    }
+    if weights > 0.0 { sum / weights } else { 1.0 }
+}
+
+/// Energy of the noise in the rows of an equation: that of the sensors, or what is left from row to row where that is
+/// more, but not much.
+pub fn rough_energy(p: &Problem, residual: &[f64], e: usize) -> f64 {
+    let rough = p.by_differences(residual, Equation::ALL[e]);
+    let sensors = p.sensor_floor[e];
+    p.rows_of(Equation::ALL[e]) as f64 * sensors.max(rough.min(ROUGH * sensors)).powi(2)
+}
+
+/// Whether what is left of the transmission's gap is slow: user and motor part company, which no
+/// spring and no play does.
+fn drifting(p: &Problem, residual: &[f64], gap: f64) -> bool {
+    let length = p.clock.block(1.0);
+    let (mut slow, mut all) = (0.0, 0.0);
+    for b in p.blocks.iter().filter(|b| b.equation == Equation::Transmission) {
+        let mut seconds = std::collections::BTreeMap::<usize, (f64, f64)>::new();
+        for (row, &k) in b.rows.clone().zip(&b.samples) {
+            let s = seconds.entry(k / length).or_default();
+            *s = (s.0 + 1.0, s.1 + residual[row]);
+            all += residual[row].powi(2);
+        }
+        slow += seconds.values().map(|s| s.1 * s.1 / s.0).sum::<f64>();
+    }
+    gap > FAR * FAR && slow > 0.5 * all
+}
+
+/// Verdict, share of the excess that is explained, and share of what is left that a table would still take.
+pub fn conclude(
+    m: &Material,
+    nominal: &Fit,
+    retuned: &Fit,
+    model: &Fit,
+    ambiguous: &[(EffectKind, Vec<EffectKind>)],
+) -> (Verdict, f64, f64) {
+    let unnamed = m.unnamed(model);
+    let held = m.held_problem();
+    let judged = m.judged_residual(model);
+    let (before, after) = (held.energy(&m.judged_residual(retuned)), held.energy(&judged));
+    let by_equation = shares(held, &before, &after, Some(&judged));
+    let explained = overall(held, &before, &by_equation);
+    // an equation that was off before, or that an effect has touched
+    let counts =
+        |e: usize| before[e] > BEYOND * held.sensor_energy(e) || (before[e] - after[e]).abs() > 0.05 * before[e];
+    let counted = (0..5).filter(|e| counts(*e)).filter_map(|e| by_equation[e]);
+    let worst = counted.fold(1.0, |a: f64, b| a.min(b));
+    // an effect is not that which leaves its own equation unexplained
+    let own = |t: &Term| by_equation[t.kind.equation().index()];
+    let stranger = model.terms.iter().filter_map(own).any(|s| s < NAMED_SHARE);
+    // what else is off in equations that no effect of these touches is a remainder
+    let touched = |e: usize| model.terms.iter().any(|t| t.kind.equation().index() == e);
+    let explained = if model.terms.is_empty() {
+        explained
+    } else {
+        let all: Vec<f64> = (0..5).filter(|e| touched(*e)).filter_map(|e| by_equation[e]).collect();
+        if all.is_empty() {
+            explained
+        } else {
+            all.iter().sum::<f64>() / all.len() as f64
+        }
+    };
+    let gaps = m.over_floor(held, &after);
+    // only what the sensors are known to add can be held against a name
+    let drive = m.bench.channel(m.bench.rig.drive);
+    let stated = drive.is_some_and(|d| matches!(d.noise, Noise::Known(_)));
+    let far = drifting(held, &m.held_residual(model), gaps[2]);
+    let slow = Equation::ALL.map(|e| held.slow_energy(&judged, e, SLOW_S));
+    // greatest share of an equation's energy that a table still takes
+    let remainder = (0..5)
+        .filter(|e| after[*e] > 0.0)
+        .map(|e| unnamed[e] / after[e])
+        .fold(0.0, f64::max);
+    if model.terms.is_empty() {
+        // what a table finds, or what is far beyond the noise, is an effect that the list does not have
+        let slowly = |e: usize| match Equation::ALL[e] {
+            Equation::Kinematic => SENSORS_APART,
+            _ => SLOWLY,
+        };
+        let far = |e: usize| slow[e] > slowly(e) && after[e] > BEYOND * held.sensor_energy(e);
+        let beyond = stated && (0..4).any(|e| by_equation[e].is_some() && far(e));
+        let over = (0..4).any(|e| by_equation[e].is_some());
+        let most = if stated { UNKNOWN_SHARE } else { 2.5 * UNKNOWN_SHARE };
+        if remainder > most && over || beyond {
+            return (Verdict::Unknown, 0.0, remainder);
+        }
+        let worse = (0..5).any(|e| nominal.score.energy[e] > 1.1 * retuned.score.energy[e]);
+        let verdict = if worse { Verdict::Retune } else { Verdict::None };
+        return (verdict, 0.0, remainder);
+    }
+    let verdict = if explained < NAMED_SHARE || stranger || far {
+        Verdict::Unknown
+    } else if worst < CLEAN_SHARE {
+        Verdict::NamedWithRemainder
+    } else if ambiguous.iter().any(|a| !a.1.is_empty()) {
+        Verdict::Ambiguous
+    } else {
+        Verdict::Named
+    };
+    (verdict, explained, remainder)
+}
