@@ -130,7 +130,25 @@ impl Calibration {
     /// Refuses where the file cannot be read, is torn, or belongs to other maps.
     pub fn load(path: &Path, maps: &str) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-        let c: Self = serde_json::from_str(&text).map_err(|e| Error::torn(path, e))?;
+        let mut value: serde_json::Value = serde_json::from_str(&text).map_err(|e| Error::torn(path, e))?;
+        // of a program that knew fewer causes: the others did not differ
+        let pad = |list: &mut serde_json::Value, zero: &serde_json::Value| {
+            if let Some(list) = list
+                .as_array_mut()
+                .filter(|l| l.len() >= Cause::FIRST && l.len() < Cause::COUNT)
+            {
+                list.resize(Cause::COUNT, zero.clone());
+            }
+        };
+        if let Some(half_width) = value.get_mut("half_width") {
+            pad(half_width, &serde_json::json!(0.0));
+        }
+        let slopes = value.pointer_mut("/surfaces/slopes").and_then(|s| s.as_object_mut());
+        for rows in slopes.into_iter().flat_map(|s| s.values_mut()) {
+            let terms = rows.get(0).and_then(|r| r.as_array()).map_or(0, Vec::len);
+            pad(rows, &serde_json::json!(vec![0.0; terms]));
+        }
+        let c: Self = serde_json::from_value(value).map_err(|e| Error::torn(path, e))?;
         let file = path.display().to_string();
         if c.maps != maps {
             let allowed = format!("{maps}: calibrate these maps (ema calibrate)");

@@ -33,7 +33,7 @@ type Bend = [f64; BEND_TERMS];
 const SAMPLES_EACH: usize = 4;
 
 /// Causes that act by themselves, at most.
-const ACTING: usize = 6;
+const ACTING: usize = Cause::COUNT - 1;
 
 /// Pairs of them, each with itself included.
 const PAIRS: usize = ACTING * (ACTING + 1) / 2;

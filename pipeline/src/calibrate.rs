@@ -87,13 +87,17 @@ pub struct Unit {
 /// * `seed` of the draws; noise seeds follow from it
 pub fn draw_units(fsj: (f64, f64), zeta: (f64, f64), spread: &Spread, n: usize, seed: u64) -> Vec<Unit> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    // of their own, so that a cause that is added draws nobody else anew
+    let mut later = ChaCha8Rng::seed_from_u64(seed);
+    later.set_stream(1);
     let unit = |_| {
         let fault = FaultState {
             fsj: rng.random_range(fsj.0..fsj.1),
             zeta: rng.random_range(zeta.0..zeta.1),
         };
         let draw = std::array::from_fn(|c| {
-            let x = rng.random_range(-1.0..1.0);
+            let from = if c < Cause::FIRST { &mut rng } else { &mut later };
+            let x = from.random_range(-1.0..1.0);
             if spread.half_width[c] > 0.0 { x } else { 0.0 }
         });
         let seed = rng.random();

@@ -16,7 +16,7 @@ use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;
 use sim_worker::setup::TestSetup;
-use sim_worker::spread::Cause;
+use sim_worker::spread::{Cause, Spread};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -41,7 +41,32 @@ pub struct Settings {
     pub known: Vec<String>,
 }
 
+/// As well as an actuator's file says that it was identified by a study; nothing differs where it says nothing.
+pub fn own_spread(actuator: Option<&ActuatorParameters>) -> Spread {
+    actuator.and_then(Spread::identified).unwrap_or_else(Spread::none)
+}
+
 impl Settings {
+    /// For a recording of an actuator, with all that can be recognised left to be.
+    ///
+    /// # Errors
+    /// Where the catalogue does not know the usual grid.
+    pub fn of_actuator(actuator: Arc<ActuatorParameters>) -> Result<Self> {
+        Ok(Self {
+            choice: Choice {
+                spread: own_spread(Some(&actuator)),
+                coverage: diagnoser::calibration::COVERAGE,
+            },
+            actuator: Some(actuator),
+            maps: None,
+            run: None,
+            sequence: None,
+            sensors: "auto".into(),
+            grid: sim_worker::catalogue::grid("fine")?,
+            known: Vec::new(),
+        })
+    }
+
     /// The actuator that a recording is taken for.
     pub fn actuator_of(&self, m: &Measured) -> Arc<ActuatorParameters> {
         let own = || m.setup.as_ref().map(|s| s.actuator.clone());

@@ -1,5 +1,6 @@
 //! A study from files to files.
 
+use crate::case::{self, Case, Settings};
 use crate::report_pages::discrepancy as page;
 use anyhow::Result;
 use ema_study::measured::bench::{Bench, is_recording};
@@ -9,7 +10,7 @@ use ema_study::search::study;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
-use ema_study::told::{next, persist, tell};
+use ema_study::told::{next, persist, tell, verify};
 use schemas::error::{Error, write_whole};
 use sim_worker::effect::{Effect, Note};
 use sim_worker::parameters::ActuatorParameters;
@@ -37,6 +38,8 @@ pub struct Request {
     pub bench: Vec<PathBuf>,
     /// all that is recorded is of a healthy machine
     pub healthy: bool,
+    /// run the simulators under the recorded command of a bench file too; recordings of telemetry always are
+    pub verify: bool,
 }
 
 impl Request {
@@ -46,6 +49,7 @@ impl Request {
             model: Some(model.to_path_buf()),
             bench: vec![bench.to_path_buf()],
             healthy: false,
+            verify: false,
         }
     }
 }
@@ -96,6 +100,10 @@ fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> R
         // say now, not after the study, that the folder cannot be written
         std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
     }
+    if request.verify && actuator.is_none() {
+        let allowed = "--model: the actuator whose simulator is to run the recorded command";
+        return Err(Error::bad("command line", "--verify", "no --model", allowed).into());
+    }
     let mut findings;
     let mut new_text = None;
     if bench.is_comparison() {
@@ -110,6 +118,7 @@ fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> R
         };
         let with_current = bench.rig.drive == ema_study::measured::bench::BenchChannel::Current;
         let known = actuator.as_ref().map(|a| a.effects.clone()).unwrap_or_default();
+        let as_read = bench.clone();
         let outcome = study::study(Material::new(bench, runs, &known), tell_user);
         tell_user("intervals and report");
         findings = tell::findings(&outcome, &name);
@@ -117,27 +126,25 @@ fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> R
             let text = "no --model: the recordings are taken for the reference actuator's";
             findings.assumptions.push(text.to_string());
         }
-        // only what is proven on machines that somebody calls healthy may change what healthy means
-        let proven = outcome.material.held.is_some() && findings.health == "healthy";
-        if let Some(actuator) = actuator.as_ref().filter(|_| proven)
-            && !matches!(outcome.verdict, Verdict::None | Verdict::Unknown | Verdict::Candidate)
-        {
-            let source = format!("{bench_file}, data {}", hashes.join(" ")).replace('"', "'");
-            let source = source.chars().take(200).collect::<String>();
-            let parent = actuator.fingerprint();
-            let effects: Vec<Effect> = findings
-                .effects
-                .iter()
-                .filter_map(|e| persist::effect(e, &parent, &source, notes(e, &findings, &hashes)))
-                .collect();
-            let constants = persist::replaced(&findings.retuned, actuator, with_current);
-            // an actuator may not take all of a rig: a load heavier than its rotor, a delay beside another
-            match persist::written(&name, &text, &constants, &findings.correlation, &effects, &source) {
-                Ok(new) => {
+        if let Some(actuator) = actuator.as_ref() {
+            let child = with_what_was_found(&findings, actuator, (&name, &text), with_current, &bench_file, &hashes);
+            // only what is proven on machines that somebody calls healthy may change what healthy means
+            let proven = outcome.material.held.is_some() && findings.health == "healthy";
+            let found = !matches!(outcome.verdict, Verdict::None | Verdict::Unknown | Verdict::Candidate);
+            if telemetry || request.verify {
+                tell_user("the simulators under the recorded command");
+                let found = child.as_ref().ok().filter(|_| outcome.verdict != Verdict::None);
+                let child = found.map_or_else(|| Ok(actuator.clone()), |t| ActuatorParameters::parse(&name, t))?;
+                findings.verification = Some(verify::verify(&as_read, actuator, &child)?);
+            }
+            match child {
+                Ok(new) if proven && found => {
                     findings.diff = persist::diff(&text, &new);
                     new_text = Some(new);
                 }
-                Err(e) => findings.assumptions.push(format!("not written into the model: {e}")),
+                // an actuator may not take all of a rig: a load heavier than its rotor, a delay beside another
+                Err(e) if proven && found => findings.assumptions.push(format!("not written into the model: {e}")),
+                _ => {}
             }
         }
     }
@@ -160,6 +167,44 @@ fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> R
         model: written_model,
         report,
     })
+}
+
+/// The actuator's file with the constants and effects that were found.
+///
+/// * `file` name and text of the actuator's file
+fn with_what_was_found(
+    f: &Findings,
+    actuator: &ActuatorParameters,
+    file: (&str, &str),
+    with_current: bool,
+    bench_file: &str,
+    hashes: &[String],
+) -> schemas::error::Result<String> {
+    let source = format!("{bench_file}, data {}", hashes.join(" ")).replace('"', "'");
+    let source = source.chars().take(200).collect::<String>();
+    let parent = actuator.fingerprint();
+    let effects: Vec<Effect> = f
+        .effects
+        .iter()
+        .filter_map(|e| persist::effect(e, &parent, &source, notes(e, f, hashes)))
+        .collect();
+    let constants = persist::replaced(&f.retuned, actuator, with_current);
+    persist::written(file.0, file.1, &constants, &f.correlation, &effects, &source)
+}
+
+/// The last stretch of the circle: a recorded test against maps of the model that was written, or of the actuator as it
+/// was where none was. `Ok(None)` where the study had no actuator.
+///
+/// # Errors
+/// As [`case::run`].
+pub fn diagnose(written: &Written, test: &Path) -> Result<Option<Case>> {
+    let actuator = match &written.model {
+        Some(model) => ActuatorParameters::read(model)?,
+        None if written.findings.model.is_empty() => return Ok(None),
+        None if written.findings.model == REFERENCE => ActuatorParameters::reference(),
+        None => ActuatorParameters::read(Path::new(&written.findings.model))?,
+    };
+    Ok(Some(case::run(test, &Settings::of_actuator(actuator.into())?)?))
 }
 
 /// How an effect was identified, for its provenance.

@@ -326,7 +326,12 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             (on.k0[l], on.k1[l], on.k2[l]) = (coefficient(0), coefficient(1), coefficient(2));
         }
         if F & term::EFFECTS != 0 {
-            effects_on_angles(k, &st, &mut on, fx);
+            if fx.has_levels() {
+                fx.level(&k.th0, &st.th, &st.turn);
+            }
+            if fx.is_electrical() || fx.has_dead_time() {
+                effects_on_angles(k, &st, &mut on, fx);
+            }
         }
         // current control, bridge and windings; the third current is minus the sum of the others
         for l in 0..N {
@@ -393,7 +398,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 sum.iq[l] += half_shape(on.f0[l]) * i[0] + half_shape(on.f1[l]) * i[1] + half_shape(on.f2[l]) * ic;
             }
         }
-        if F & term::EFFECTS != 0 {
+        if F & term::EFFECTS != 0 && (fx.is_saturated() || fx.has_state()) {
             effects_on_torque(k, &st, &mut on, fx);
         }
         // torque and mechanics
@@ -456,9 +461,14 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             }
         }
         if F & term::EFFECTS != 0 {
+            let mut user = st.th;
+            if fx.has_behind() {
+                for l in 0..N {
+                    user[l] = fx.user(l, st.th[l], st.moved[l]);
+                }
+            }
             for l in 0..N {
-                let u = fx.user(l, st.th[l], st.moved[l]);
-                st.th_u[l] = backlash::play::<ONE>(st.th_u[l], u, k.gap_half[at::<SAME>(l)]);
+                st.th_u[l] = backlash::play::<ONE>(st.th_u[l], user[l], k.gap_half[at::<SAME>(l)]);
             }
         }
     }
@@ -476,7 +486,7 @@ const GONE: f64 = 1e-100;
 /// loops over lanes: what a lane without effects computes there stays the same to the bit.
 #[inline(never)]
 fn effects_on_angles<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut Handed<N>, fx: &mut LaneEffects<N>) {
-    for l in 0..N {
+    for l in (0..N).filter(|_| fx.is_electrical()) {
         let coefficients = [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]];
         if let Some(error) = fx.electrical(l, k.th0[l] + st.th[l], coefficients) {
             let r = st.r[l] + error;
@@ -496,8 +506,12 @@ fn effects_on_angles<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut H
 fn effects_on_torque<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut Handed<N>, fx: &mut LaneEffects<N>) {
     for l in 0..N {
         let i = [st.ia[l], st.ib[l], -(st.ia[l] + st.ib[l])];
-        fx.saturate(l, i, [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]]);
-        fx.mechanical(l, st.th[l], st.turn[l], k.fd[l]);
+        if fx.is_saturated() {
+            fx.saturate(l, i, [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]]);
+        }
+        if fx.has_state() {
+            fx.mechanical(l, st.th[l], st.turn[l], k.fd[l]);
+        }
     }
 }
 

@@ -40,6 +40,7 @@ pub mod control;
 #[cfg(feature = "dataset")]
 pub mod dataset;
 pub mod effect;
+pub mod exponential;
 pub mod extractor;
 pub mod interrupt;
 pub mod lanes;

@@ -1,6 +1,6 @@
 //! How units of one type differ: half-widths of uniform distributions around the parameters.
 
-use crate::effect::COPPER_PER_K;
+use crate::effect::{COPPER_PER_K, Effect, EffectKind};
 use crate::parameters::ActuatorParameters;
 use schemas::error::{Error, Result};
 use schemas::fingerprint::{exact, fingerprint};
@@ -28,11 +28,23 @@ pub enum Cause {
     Temperature,
     /// rotor angle at rest
     RestAngle,
+    /// L
+    Inductance,
+    /// C
+    Viscous,
+    /// amplitudes of the actuator's effects, all together
+    EffectAmplitude,
+    /// shapes of the actuator's effects (speeds, phases, orders...), all together
+    EffectShape,
+    /// static dry friction at the dynamic one that it has: what breaks away
+    BreakAway,
 }
 
 impl Cause {
     /// Number of causes.
-    pub const COUNT: usize = 7;
+    pub const COUNT: usize = 12;
+    /// Those that stand in every fingerprint and are drawn first; later ones follow where they have a half-width.
+    pub const FIRST: usize = 7;
     /// All, in the order of [`Spread::half_width`].
     pub const ALL: [Cause; Self::COUNT] = [
         Cause::Resistance,
@@ -42,6 +54,11 @@ impl Cause {
         Cause::Supply,
         Cause::Temperature,
         Cause::RestAngle,
+        Cause::Inductance,
+        Cause::Viscous,
+        Cause::EffectAmplitude,
+        Cause::EffectShape,
+        Cause::BreakAway,
     ];
 
     /// Key of its half-width in a spread's file.
@@ -54,6 +71,11 @@ impl Cause {
             Cause::Supply => "supply_voltage_relative",
             Cause::Temperature => "winding_temperature_k",
             Cause::RestAngle => "rest_angle_rad",
+            Cause::Inductance => "phase_inductance_relative",
+            Cause::Viscous => "viscous_relative",
+            Cause::EffectAmplitude => "effect_amplitude_sigmas",
+            Cause::EffectShape => "effect_shape_sigmas",
+            Cause::BreakAway => "break_away_relative",
         }
     }
 
@@ -67,6 +89,11 @@ impl Cause {
             Cause::Supply => "supply_voltage_v",
             Cause::Temperature => "winding_temperature_degc",
             Cause::RestAngle => "rest_angle_rad",
+            Cause::Inductance => "phase_inductance_h",
+            Cause::Viscous => "viscous_n_m_s_per_rad",
+            Cause::EffectAmplitude => "effect_amplitude_sigmas",
+            Cause::EffectShape => "effect_shape_sigmas",
+            Cause::BreakAway => "static_n_m",
         }
     }
 
@@ -80,6 +107,11 @@ impl Cause {
             Cause::Supply => "supply voltage",
             Cause::Temperature => "winding temperature",
             Cause::RestAngle => "rotor angle at rest",
+            Cause::Inductance => "phase inductance",
+            Cause::Viscous => "viscous friction",
+            Cause::EffectAmplitude => "amplitudes of the effects",
+            Cause::EffectShape => "shapes of the effects",
+            Cause::BreakAway => "static friction",
         }
     }
 
@@ -93,6 +125,10 @@ impl Cause {
             Cause::Inertia => relative(actuator.inertia_kg_m2),
             Cause::DynamicRatio => relative(actuator.dynamic_friction_ratio),
             Cause::Supply => relative(actuator.supply_voltage_v),
+            Cause::Inductance => relative(actuator.phase_inductance_h),
+            Cause::Viscous => relative(actuator.viscous_n_m_s_per_rad),
+            Cause::EffectAmplitude | Cause::EffectShape => known,
+            Cause::BreakAway => relative(actuator.static_friction_n_m),
             Cause::Temperature => known - actuator.temperature_degc,
             Cause::RestAngle => {
                 let turn = std::f64::consts::TAU;
@@ -149,6 +185,18 @@ pub struct Spread {
     pub half_width: [f64; Cause::COUNT],
 }
 
+/// Half-width of the static friction of an actuator that was studied in motion, relative (assumed): nobody has seen it
+/// break away. Where friction rises towards standstill beside the step of dry friction, it is between the greater of the
+/// two and their sum.
+fn break_away(a: &ActuatorParameters) -> f64 {
+    const UNSEEN: f64 = 0.05;
+    let rising = |e: &&Effect| e.is_present() && e.kind == EffectKind::Stribeck;
+    let rise: f64 = a.effects.iter().filter(rising).map(|e| e.values[0]).sum();
+    let fixed = a.static_friction_n_m;
+    let least = fixed.max(fixed * a.dynamic_friction_ratio + rise);
+    ((fixed + rise - least) / fixed).clamp(UNSEEN, 0.5)
+}
+
 impl Spread {
     /// Nothing differs.
     pub fn none() -> Self {
@@ -169,6 +217,13 @@ impl Spread {
         spread.half_width[Cause::BackEmf as usize] = of("motor.back_emf_v_s_per_rad");
         spread.half_width[Cause::Inertia as usize] = of("motor.inertia_kg_m2");
         spread.half_width[Cause::DynamicRatio as usize] = of("friction.static_n_m");
+        spread.half_width[Cause::Inductance as usize] = of("motor.phase_inductance_h");
+        spread.half_width[Cause::Viscous as usize] = of("motor.viscous_n_m_s_per_rad");
+        spread.half_width[Cause::BreakAway as usize] = break_away(actuator);
+        if actuator.effects.iter().any(|e| e.is_present() && e.intervals.is_some()) {
+            spread.half_width[Cause::EffectAmplitude as usize] = 3f64.sqrt();
+            spread.half_width[Cause::EffectShape as usize] = 3f64.sqrt();
+        }
         (!spread.is_none()).then_some(spread)
     }
 
@@ -189,6 +244,12 @@ impl Spread {
             *h = match cause {
                 Cause::Temperature => s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?,
                 Cause::RestAngle => s.number_or(cause.key(), 0.0, |x| (0.0..=0.1).contains(&x), "0 to 0.1 rad")?,
+                Cause::EffectAmplitude | Cause::EffectShape => s.number_or(
+                    cause.key(),
+                    0.0,
+                    |x| (0.0..=5.0).contains(&x),
+                    "0 to 5 standard deviations",
+                )?,
                 _ => s.number_or(cause.key(), 0.0, |x| (0.0..=0.5).contains(&x), "0 to 0.5")?,
             };
         }
@@ -209,7 +270,15 @@ impl Spread {
 
     /// Of the half-widths, not of the name.
     pub fn fingerprint(&self) -> String {
-        fingerprint(&format!("spread;{}", self.half_width.map(exact).join(",")))
+        let (first, later) = self.half_width.split_at(Cause::FIRST);
+        let mut text = format!(
+            "spread;{}",
+            first.iter().map(|h| exact(*h)).collect::<Vec<_>>().join(",")
+        );
+        for (cause, h) in Cause::ALL[Cause::FIRST..].iter().zip(later).filter(|(_, h)| **h > 0.0) {
+            text += &format!(";{},{}", cause.key(), exact(*h));
+        }
+        fingerprint(&text)
     }
 
     /// A unit, and the rest angle of its test.
@@ -232,7 +301,18 @@ impl Spread {
                     Cause::Inertia => a.inertia_kg_m2 *= 1.0 + x,
                     Cause::DynamicRatio => a.dynamic_friction_ratio = (a.dynamic_friction_ratio * (1.0 + x)).min(1.0),
                     Cause::Supply => a.supply_voltage_v *= 1.0 + x,
+                    Cause::Inductance => a.phase_inductance_h *= 1.0 + x,
+                    Cause::Viscous => a.viscous_n_m_s_per_rad *= 1.0 + x,
                     Cause::RestAngle => rest += x,
+                    Cause::BreakAway => {
+                        let dynamic = a.static_friction_n_m * a.dynamic_friction_ratio;
+                        a.static_friction_n_m = (a.static_friction_n_m * (1.0 + x)).max(dynamic);
+                        a.dynamic_friction_ratio = dynamic / a.static_friction_n_m;
+                    }
+                    Cause::EffectAmplitude | Cause::EffectShape => {
+                        let amplitude = through == Cause::EffectAmplitude;
+                        a.effects.iter_mut().for_each(|e| e.deviate(amplitude, x));
+                    }
                     Cause::Temperature => unreachable!("acts through others"),
                 }
             }
@@ -249,7 +329,7 @@ mod tests {
     fn prop_units_keep_to_their_half_widths() {
         let a = ActuatorParameters::reference();
         let fleet = crate::catalogue::spread("fleet").unwrap();
-        let (unit, rest) = fleet.unit(&a, 0.5, &[1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0]);
+        let (unit, rest) = fleet.unit(&a, 0.5, &[1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
         let near = |x: f64, y: f64| assert!((x / y - 1.0).abs() < 1e-12, "{x} {y}");
         near(unit.phase_resistance_ohm, 1.05 * a.phase_resistance_ohm);
         near(unit.back_emf_v_s_per_rad, 0.98 * a.back_emf_v_s_per_rad);

@@ -427,6 +427,54 @@ fn prop_an_interrupted_clock_is_used_as_it_is_and_said() {
 }
 
 #[test]
+fn prop_the_list_of_effects_in_words_is_whole() {
+    let text = include_str!("../../datasets/benches/README.md");
+    for kind in EffectKind::ALL {
+        let name = kind.name();
+        let row = text.lines().find(|l| l.starts_with(&format!("| `{name}` |")));
+        let row = row.unwrap_or_else(|| panic!("{name} is not in the list"));
+        let keys: Vec<String> = kind.keys().iter().map(|k| format!("{} [{}]", k.name, k.unit)).collect();
+        assert!(row.ends_with(&format!("| {} |", keys.join(", "))), "{row}");
+    }
+}
+
+#[test]
+fn prop_the_worked_example_is_a_bench() {
+    let text = include_str!("../../datasets/benches/README.md");
+    let example = text.split("# rig.toml\n").nth(1).unwrap().split("```").next().unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let bench = dir.path().join("rig.toml");
+    std::fs::write(&bench, example).unwrap();
+    for (file, hz) in [("monday.csv", 0.5), ("tuesday.csv", 0.8)] {
+        let mut csv = String::from("time_s,pos_deg,speed_rpm,current_A\n");
+        for k in 0..12_000 {
+            let t = k as f64 * 1e-3;
+            let phase = std::f64::consts::TAU * hz * t;
+            // 8e-5 kg m2 and 0.02 N m of friction, 30 rad/s at most, with a little noise of the sensors
+            let noise =
+                |n: u64| ((k as u64 * 2 + n).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 / (1 << 23) as f64 - 1.0;
+            let (w, a) = (30.0 * phase.sin(), 30.0 * std::f64::consts::TAU * hz * phase.cos());
+            let theta = 30.0 * (1.0 - phase.cos()) / (std::f64::consts::TAU * hz);
+            let i = (8e-5 * a + 0.02 * w.signum() + 2e-4 * w) / 0.11 + 0.002 * noise(0);
+            csv += &format!(
+                "{t},{},{},{i}\n",
+                theta.to_degrees(),
+                (w + 0.05 * noise(1)) * 30.0 / std::f64::consts::PI
+            );
+        }
+        std::fs::write(dir.path().join(file), csv).unwrap();
+    }
+    let request = Request {
+        bench: vec![bench],
+        ..Request::default()
+    };
+    let f = study_file(&request, &|_| {}).unwrap();
+    assert!(["none", "retune"].contains(&f.verdict.as_str()), "{}", f.sentence);
+    let inertia = f.retuned.iter().find(|c| c.name == "inertia").unwrap().value;
+    assert!((inertia / 8e-5 - 1.0).abs() < 0.1, "{inertia}");
+}
+
+#[test]
 fn prop_without_held_out_data_there_are_candidates_and_nothing_is_written() {
     let dir = tempfile::tempdir().unwrap();
     let cogging = Forced::new("cogging", &[("amplitude", 0.006), ("order", 6.0), ("phase", 0.7)]).unwrap();

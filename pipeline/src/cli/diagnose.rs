@@ -11,7 +11,6 @@ use diagnoser::diagnosis::{Outcome, parse_known};
 use diagnoser::map_library::Choice;
 use schemas::error::EXIT_LOSS;
 use schemas::fault::Interval;
-use sim_worker::spread::Spread;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -40,7 +39,8 @@ pub struct DiagnoseArgs {
     #[arg(long, default_value = "own")]
     spread: String,
     /// What is known of the unit, KEY=NUMBER, of supply_voltage_v, winding_temperature_degc,
-    /// phase_resistance_ohm, back_emf_v_s_per_rad, inertia_kg_m2, dynamic_ratio, rest_angle_rad; it narrows a spread
+    /// phase_resistance_ohm, back_emf_v_s_per_rad, inertia_kg_m2, dynamic_ratio, rest_angle_rad, phase_inductance_h,
+    /// viscous_n_m_s_per_rad; it narrows a spread
     #[arg(long, value_name = "KEY=NUMBER", value_delimiter = ',')]
     known: Vec<String>,
     /// Also fit the faults, and the unit's causes, by running the test bench itself: some seconds, and what the maps
@@ -149,8 +149,7 @@ fn quoted(path: &std::path::Path) -> String {
 pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     let actuator = a.actuator.named()?;
     let spread = if a.spread == "own" {
-        let own = actuator.as_ref().and_then(|a| Spread::identified(a));
-        own.unwrap_or_else(Spread::none)
+        case::own_spread(actuator.as_deref())
     } else {
         sim_worker::catalogue::spread(&a.spread)?
     };

@@ -2,10 +2,14 @@
 
 use super::say;
 use crate::Findings;
-use crate::discrepancy::{Request, study_file, study_into};
+use crate::case::{self, Case};
+use crate::discrepancy::{self, Request, Written, study_file, study_into};
 use crate::progress;
 use anyhow::Result;
 use clap::Args;
+use diagnoser::diagnosis::Outcome;
+use ema_study::told::verify::Verification;
+use schemas::error::EXIT_LOSS;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -21,6 +25,14 @@ pub struct DiscrepancyArgs {
     /// The machine was healthy in all that was recorded: what is proven may be written into its model
     #[arg(long)]
     healthy: bool,
+    /// Run the test bench and the simplified model under the recorded command, with the model as it was and with what
+    /// was found. Recordings of telemetry always are; of a bench file, where --model is the actuator that was recorded
+    #[arg(long)]
+    verify: bool,
+    /// Then diagnose these pre-flight tests of the same actuator with the model that was written, or with the model as
+    /// it was where none was written
+    #[arg(long, num_args = 1.., value_name = "RECORDING", requires = "out")]
+    diagnose: Vec<PathBuf>,
     /// Folder for report.html, report.json and actuator.toml; nothing is written if left out
     #[arg(long)]
     out: Option<PathBuf>,
@@ -36,25 +48,57 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
         model: a.model.clone(),
         bench: a.bench.clone(),
         healthy: a.healthy,
+        verify: a.verify,
     };
-    let (findings, written) = match &a.out {
-        Some(out) => {
-            let w = study_into(&request, out, &tell)?;
-            let written = [w.report, Some(out.join("report.json")), w.model];
-            (w.findings, written.into_iter().flatten().collect::<Vec<_>>())
-        }
-        None => (study_file(&request, &tell)?, Vec::new()),
+    let study = match &a.out {
+        Some(out) => study_into(&request, out, &tell)?,
+        None => Written {
+            findings: study_file(&request, &tell)?,
+            model: None,
+            report: None,
+        },
     };
     bar.finish_and_clear();
+    let mut cases = Vec::new();
+    for test in &a.diagnose {
+        let case = discrepancy::diagnose(&study, test)?;
+        cases.extend(case.map(|c| (test, c)));
+    }
+    let written = || {
+        let report = study.report.as_ref()?;
+        let files = [
+            Some(report.clone()),
+            Some(report.with_extension("json")),
+            study.model.clone(),
+        ];
+        Some(files.into_iter().flatten())
+    };
     if a.json {
-        say(&serde_json::to_string_pretty(&findings.to_json())?);
+        let mut json = study.findings.to_json();
+        if !a.diagnose.is_empty() {
+            let all = cases.iter().map(|(test, c)| {
+                let mut d = diagnoser::report::to_json(&c.diagnosis);
+                d["recording"] = test.display().to_string().into();
+                d
+            });
+            json["diagnoses"] = all.collect();
+        }
+        say(&serde_json::to_string_pretty(&json)?);
     } else {
-        say(&to_text(&findings));
-        for path in written {
+        say(&to_text(&study.findings));
+        for path in written().into_iter().flatten() {
             say(&format!("written: {}", path.display()));
         }
+        for (test, c) in &cases {
+            say(&format!("\ndiagnosis of {}\n{}", test.display(), case::to_text(c)));
+        }
     }
-    Ok(ExitCode::SUCCESS)
+    let incomplete = |c: &Case| matches!(c.diagnosis.outcome, Outcome::Incomplete { .. });
+    Ok(if cases.iter().any(|(_, c)| incomplete(c)) {
+        ExitCode::from(EXIT_LOSS)
+    } else {
+        ExitCode::SUCCESS
+    })
 }
 
 /// The findings on a terminal.
@@ -109,6 +153,9 @@ fn to_text(f: &Findings) -> String {
             }
         }
     }
+    if let Some(v) = f.verification.as_ref() {
+        t += &verification(v);
+    }
     if !f.regions.is_empty() {
         t += "\nwhere (before any effect was added)\n";
         for r in f.regions.iter().take(5) {
@@ -129,6 +176,32 @@ fn to_text(f: &Findings) -> String {
     }
     if let Some(c) = &f.next_command {
         t += &format!("\nnext: {c}\n  {}\n", f.next_reason);
+    }
+    t
+}
+
+/// The simulators under the recorded command, on a terminal.
+fn verification(v: &Verification) -> String {
+    let mut t = String::new();
+    if !v.channels.is_empty() {
+        let of = if v.heldout { "held-out" } else { "fit" };
+        t += &format!("\nsimulated under the recorded command, {of} (rms)\n");
+        t += "                       test bench: before       after   simplified: before       after\n";
+        for c in &v.channels {
+            let simple = c
+                .simplified
+                .map_or(String::new(), |(a, b)| format!("{:>21.4} {:>11.4}", Short(a), Short(b)));
+            t += &format!(
+                "  {:18} {:>21.4} {:>11.4}{simple} {}\n",
+                c.channel,
+                Short(c.parent),
+                Short(c.child),
+                c.unit
+            );
+        }
+    }
+    for l in &v.left_out {
+        t += &format!("  not simulated: {l}\n");
     }
     t
 }

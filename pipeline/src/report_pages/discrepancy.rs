@@ -1,7 +1,8 @@
 //! `report.html`: what a study found, as one page that can be mailed.
 
 use super::discrepancy_figures::{
-    NOTHING, bars, by_channel, change, escape, headline, interval, number, profiles, row, share, table, traces,
+    NOTHING, bars, by_channel, change, driven, escape, headline, interval, number, profiles, row, share, simulated,
+    table, traces,
 };
 use crate::report::{Report, Section, Table, TableRow, html};
 use anyhow::{Context as _, Result};
@@ -311,6 +312,27 @@ fn measured(f: &Findings) -> Option<Section> {
     })
 }
 
+fn simulation(f: &Findings) -> Option<Section> {
+    let v = f.verification.as_ref()?;
+    let mut text = String::new();
+    if !v.channels.is_empty() {
+        text += "The numerical test bench and the simplified model, run under the command that was recorded: with the \
+                 parameters of the model as it was, and with what was found. In closed loop the controller hides part \
+                 of what is missing, so that these gaps are not those of the equations above.";
+    }
+    for l in &v.left_out {
+        text += &format!("\n\n- not simulated: {}", line(l));
+    }
+    if text.is_empty() {
+        return None;
+    }
+    let tables = (!v.channels.is_empty()).then(|| simulated(v)).into_iter().collect();
+    Some(Section {
+        figures: driven(v),
+        ..section("The actuator under the recorded command", text, tables)
+    })
+}
+
 /// Rules of the sections with figures: each residual below its trace, the few lines of a profile broader.
 fn rules(sections: &[Section]) -> String {
     let mut out = String::new();
@@ -430,6 +452,7 @@ fn page(f: &Findings) -> Result<String> {
     sections.extend(unnamed(f));
     sections.extend(leaderboard(f));
     sections.extend(measured(f));
+    sections.extend(simulation(f));
     sections.extend(along(f));
     sections.extend(retuned(f));
     sections.extend(unseen(f));

@@ -3,6 +3,7 @@
 pub(super) use crate::report::escape;
 use crate::report::{Figure, Table, TableRow, TracePlot};
 use ema_study::told::findings::{ChannelGap, Findings, GapLine, Identified, Profile, Trace};
+use ema_study::told::verify::{DrivenTrace, Verification};
 use std::fmt::Write as _;
 
 /// What stands for a number that there is not.
@@ -498,6 +499,60 @@ pub(super) fn traces(f: &Findings) -> Vec<[(String, Figure); 2]> {
         .enumerate()
         .map(one)
         .collect()
+}
+
+/// The actuator under the recorded command: before and after, by channel.
+pub(super) fn simulated(v: &Verification) -> Table {
+    let rows = v.channels.iter().map(|c| {
+        let simple = c.simplified.map(|(a, b)| [a, b]);
+        let all: Vec<f64> = [c.parent, c.child]
+            .into_iter()
+            .chain(simple.into_iter().flatten())
+            .collect();
+        let scale = Scale::of(&all, &c.unit);
+        let mut cells = vec![
+            c.channel.clone(),
+            scale.unit.clone(),
+            scale.show(c.parent),
+            scale.show(c.child),
+        ];
+        cells.push(change(c.child, c.parent));
+        cells.extend(match simple {
+            Some(x) => x.map(|x| scale.show(x)),
+            None => [NOTHING, NOTHING].map(String::from),
+        });
+        row(cells, false)
+    });
+    let header = [
+        "Channel",
+        "Unit",
+        "Test bench before",
+        "after",
+        "Change",
+        "Simplified model before",
+        "after",
+    ];
+    let what = if v.heldout { "held\u{2011}out runs" } else { "the runs" };
+    let caption = format!("Root mean square of measured \u{2212} simulated, on {what}");
+    table(&caption, &header, rows.collect(), "")
+}
+
+/// Stretches of the actuator under the recorded command.
+pub(super) fn driven(v: &Verification) -> Vec<(String, Figure)> {
+    let one = |(i, t): (usize, &DrivenTrace)| {
+        let plot = TracePlot {
+            title: format!("{} under the recorded command, {}", t.channel, t.run),
+            x_label: "time [s]".into(),
+            y_label: label(&t.channel, &t.unit),
+            series: vec![
+                series("measured", &t.time_s, t.measured.iter().copied()),
+                series("simulated before", &t.time_s, t.parent.iter().copied()),
+                series("simulated after", &t.time_s, t.child.iter().copied()),
+            ],
+        };
+        (format!("simulated_{i}"), Figure::Trace(plot))
+    };
+    v.traces.iter().enumerate().map(one).collect()
 }
 
 /// The residual along the signals.

@@ -3,6 +3,7 @@
 //! `v = R i + L di/dt + ke w + sum of effects`.
 
 use super::{Effect, EffectKind};
+use crate::exponential::{exp, power, tanh};
 use crate::parameters::ActuatorParameters;
 use crate::trig;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
@@ -69,22 +70,35 @@ impl Constants {
     }
 }
 
-/// `x^d`, quicker for the usual exponents of Stribeck's curve.
-#[inline]
-fn power(x: f64, d: f64) -> f64 {
-    if d == 1.0 {
-        x
-    } else if d == 2.0 {
-        x * x
-    } else {
-        x.powf(d)
-    }
-}
-
 /// The same bits on every machine, see [`trig`].
-#[inline]
+#[inline(always)]
 fn cos(x: f64) -> f64 {
     trig::sin_cos(x).1
+}
+
+/// Stribeck's part of friction [N m] at the speed `omega`.
+#[inline(always)]
+pub(super) fn stribeck([torque, speed, exponent]: [f64; 3], omega: f64) -> f64 {
+    torque * exp(-power(omega.abs() / speed, exponent))
+}
+
+/// Rise of lubricated friction [N m].
+#[inline(always)]
+pub(super) fn lubricated([torque, speed, _]: [f64; 3], omega: f64) -> f64 {
+    torque * (1.0 - exp(-omega.abs() / speed))
+}
+
+/// `amplitude cos(order theta + phase)`.
+#[inline(always)]
+pub(super) fn wave([amplitude, phase, order]: [f64; 3], theta: f64) -> f64 {
+    amplitude * cos(order * theta + phase)
+}
+
+/// A bell around an angle [N m].
+#[inline(always)]
+pub(super) fn bell([torque, centre, width]: [f64; 3], theta: f64) -> f64 {
+    let x = (theta - centre) / width;
+    torque * exp(-(x * x))
 }
 
 /// `trap` of the paper: 0 to 1 over 0..30 electrical degrees, 1 to 150, to -1 at 210, -1 to 330,
@@ -128,25 +142,25 @@ impl Effect {
     /// Friction level [N m] that it adds to the dry friction; times `sgn w` it is a torque.
     #[inline]
     pub fn friction(&self, s: &Signals, c: &Constants) -> f64 {
-        let [a, b, d] = self.values;
+        let a = self.values[0];
         match self.kind {
-            EffectKind::Stribeck => a * (-power(s.omega.abs() / b, d)).exp(),
-            EffectKind::LubricatedRise => a * -(-s.omega.abs() / b).exp_m1(),
+            EffectKind::Stribeck => stribeck(self.values, s.omega),
+            EffectKind::LubricatedRise => lubricated(self.values, s.omega),
             EffectKind::LoadDependentFriction => a * s.load.abs(),
             EffectKind::TemperatureDependentFriction => {
                 a * (s.temperature - REFERENCE_TEMPERATURE_DEGC) * (c.coulomb + c.viscous * s.omega.abs())
             }
-            EffectKind::PeriodicFriction => a * cos(d * s.theta + b),
-            EffectKind::TightSpot => a * (-((s.theta - b) / d).powi(2)).exp(),
+            EffectKind::PeriodicFriction => wave(self.values, s.theta),
+            EffectKind::TightSpot => bell(self.values, s.theta),
             _ => 0.0,
         }
     }
 
     /// Share of the torque constant (and of the back-EMF's) that it takes away (negative) or adds.
     pub fn constant_share(&self, s: &Signals, c: &Constants) -> f64 {
-        let [a, b, d] = self.values;
+        let [a, b, _] = self.values;
         match self.kind {
-            EffectKind::TorqueRipple => a * cos(d * s.theta + b),
+            EffectKind::TorqueRipple => wave(self.values, s.theta),
             EffectKind::Eccentricity => {
                 let on = conducting(s.theta, c.pole_pairs);
                 let mean = |q: usize| 0.5 * on[q].abs() * cos(s.theta + b + TAU / 3.0 * q as f64);
@@ -162,12 +176,12 @@ impl Effect {
     /// (presliding, compliance, backlash) are not here.
     #[inline]
     pub fn torque(&self, s: &Signals, c: &Constants) -> f64 {
-        let [a, b, d] = self.values;
+        let a = self.values[0];
         match self.kind {
             EffectKind::QuadraticDrag => a * s.omega * s.omega.abs(),
             EffectKind::ViscousAsymmetry => a * s.omega.abs(),
             EffectKind::BiasTorque => a,
-            EffectKind::Cogging => a * cos(d * s.theta + b),
+            EffectKind::Cogging => wave(self.values, s.theta),
             EffectKind::TorqueSaturation => c.torque_constant * s.current * (1.0 - self.saturation(s.current)),
             EffectKind::SpringLoad => a * (s.theta - s.rest),
             EffectKind::TorqueRipple
@@ -227,7 +241,7 @@ impl Effect {
     /// two legs conduct at a time.
     pub fn leg_drop(&self, i: f64) -> f64 {
         match self.kind {
-            EffectKind::DeadTime => 0.5 * self.values[0] * (i / DEAD_TIME_A).tanh(),
+            EffectKind::DeadTime => 0.5 * self.values[0] * tanh(i / DEAD_TIME_A),
             _ => 0.0,
         }
     }

@@ -1,5 +1,6 @@
 //! The effects of an actuator, sorted by where they act, for test bench and simplified model.
 
+use super::equations::{self, REFERENCE_TEMPERATURE_DEGC};
 use super::{Constants, Dahl, DelayLine, Effect, EffectKind, Signals, TwoMass, commutation_share};
 use crate::lanes::Units;
 use crate::parameters::ActuatorParameters;
@@ -143,11 +144,17 @@ impl Injection {
         self.torque.iter().map(|e| e.torque(s, &self.constants)).sum()
     }
 
-    /// Back-EMF coefficients over the nominal ones.
-    pub fn coefficients(&self, s: &Signals) -> [f64; 3] {
-        let share = |e: &Effect| 1.0 + e.constant_share(s, &self.constants);
-        let ripple: f64 = self.ripple.iter().map(share).product();
-        self.turns.map(|t| t * ripple)
+    /// Values of an effect with what does not change during a test worked in.
+    fn prepared(&self, e: &Effect) -> [f64; 3] {
+        let a = e.values[0];
+        match e.kind {
+            EffectKind::LoadDependentFriction => [a * self.signals.load.abs(), 1.0, 1.0],
+            EffectKind::TemperatureDependentFriction => {
+                let warm = a * (self.signals.temperature - REFERENCE_TEMPERATURE_DEGC);
+                [warm, self.constants.coulomb, self.constants.viscous]
+            }
+            _ => e.values,
+        }
     }
 
     /// What is left of the torque of a phase current [A].
@@ -225,9 +232,35 @@ pub struct Felt<const N: usize> {
     pub th: [f64; N],
 }
 
+/// An effect without a state of its own, in all lanes that have it; nothing in the others.
+#[derive(Clone, Debug)]
+struct Slot<const N: usize> {
+    kind: EffectKind,
+    /// how many of the kind a lane has before it
+    before: usize,
+    values: [[f64; N]; 3],
+}
+
+/// What the slots add up to.
+#[derive(Clone, Debug)]
+struct Sum<const N: usize> {
+    /// [N m]
+    friction: [f64; N],
+    /// [N m]
+    torque: [f64; N],
+    /// back-EMF coefficients over those without ripple
+    ripple: [f64; N],
+}
+
 /// The effects of all lanes of a test bench.
 #[derive(Clone, Debug)]
 pub struct LaneEffects<const N: usize> {
+    /// in one order whatever the company: sums of a lane are the same to the bit
+    slots: Vec<Slot<N>>,
+    sum: Sum<N>,
+    /// from the kernel's speed to rad/s, and from N m to the kernel's torque
+    rad_per_s: [f64; N],
+    newton_metre: [f64; N],
     /// none in a lane without effects
     lanes: Vec<Option<Injection>>,
     units: Vec<Units>,
@@ -235,7 +268,9 @@ pub struct LaneEffects<const N: usize> {
     pub felt: Felt<N>,
     electrical: bool,
     dead_time: bool,
-    mechanical: bool,
+    /// torques that have a state: bristles, and what is behind a compliance
+    stateful: bool,
+    behind: bool,
     saturated: bool,
     delayed: bool,
     dt: f64,
@@ -245,6 +280,14 @@ impl<const N: usize> Default for LaneEffects<N> {
     fn default() -> Self {
         const ONE: f64 = 1.0;
         Self {
+            slots: Vec::new(),
+            sum: Sum {
+                friction: [0.0; N],
+                torque: [0.0; N],
+                ripple: [ONE; N],
+            },
+            rad_per_s: [0.0; N],
+            newton_metre: [0.0; N],
             lanes: Vec::new(),
             units: Vec::new(),
             felt: Felt {
@@ -264,7 +307,8 @@ impl<const N: usize> Default for LaneEffects<N> {
             },
             electrical: false,
             dead_time: false,
-            mechanical: false,
+            stateful: false,
+            behind: false,
             saturated: false,
             delayed: false,
             dt: 0.0,
@@ -281,12 +325,21 @@ impl<const N: usize> LaneEffects<N> {
         self.dt = p.step_s;
         self.felt.bus = (p.step_s / BUS_S).min(1.0);
         self.units.push(u);
+        self.rad_per_s[l] = 1.0 / u.rad_per_s;
+        self.newton_metre[l] = u.newton_metre;
         if let Some(e) = &own {
+            let effects = e.friction.iter().chain(&e.torque).chain(&e.ripple);
+            let mut seen: Vec<EffectKind> = Vec::new();
+            for effect in effects {
+                let before = seen.iter().filter(|k| **k == effect.kind).count();
+                seen.push(effect.kind);
+                self.fill(l, effect.kind, before, e.prepared(effect));
+            }
             self.electrical |=
                 !e.ripple.is_empty() || !e.encoder.is_empty() || e.commutation != 0.0 || e.turns != [1.0; 3];
             self.dead_time |= !e.dead_time.is_empty();
-            self.mechanical |=
-                !e.friction.is_empty() || !e.torque.is_empty() || e.bristles.is_some() || e.behind.is_some();
+            self.stateful |= e.bristles.is_some() || e.behind.is_some();
+            self.behind |= e.behind.is_some();
             self.saturated |= !e.saturation.is_empty();
             self.delayed |= e.delay.is_some();
             let felt = &mut self.felt;
@@ -307,6 +360,115 @@ impl<const N: usize> LaneEffects<N> {
             }
         }
         self.lanes.push(own);
+    }
+
+    /// Puts an effect of a lane into its slot.
+    fn fill(&mut self, l: usize, kind: EffectKind, before: usize, values: [f64; 3]) {
+        let place = self.slots.binary_search_by_key(&(kind, before), |s| (s.kind, s.before));
+        let at = place.unwrap_or_else(|at| {
+            // no amplitude; what is divided by is 1
+            let values = [[0.0; N], [1.0; N], [1.0; N]];
+            self.slots.insert(at, Slot { kind, before, values });
+            at
+        });
+        for (to, x) in self.slots[at].values.iter_mut().zip(values) {
+            to[l] = x;
+        }
+    }
+
+    /// Works out what the effects without a state add in all lanes.
+    ///
+    /// * `th0` angles at rest [rad], `th` angles from there [rad], `turn` speeds
+    #[inline(always)]
+    pub fn level(&mut self, th0: &[f64; N], th: &[f64; N], turn: &[f64; N]) {
+        let (mut friction, mut torque, mut ripple) = ([0.0; N], [0.0; N], [1.0; N]);
+        let (mut theta, mut omega) = ([0.0; N], [0.0; N]);
+        for l in 0..N {
+            theta[l] = th0[l] + th[l];
+            omega[l] = turn[l] * self.rad_per_s[l];
+        }
+        // loops, not closures: only what is inlined is compiled for the instruction set of the caller
+        for s in &self.slots {
+            let [a, b, d] = &s.values;
+            match s.kind {
+                EffectKind::Stribeck => {
+                    for l in 0..N {
+                        friction[l] += equations::stribeck([a[l], b[l], d[l]], omega[l]);
+                    }
+                }
+                EffectKind::LubricatedRise => {
+                    for l in 0..N {
+                        friction[l] += equations::lubricated([a[l], b[l], d[l]], omega[l]);
+                    }
+                }
+                EffectKind::LoadDependentFriction => {
+                    for l in 0..N {
+                        friction[l] += a[l];
+                    }
+                }
+                EffectKind::TemperatureDependentFriction => {
+                    for l in 0..N {
+                        friction[l] += a[l] * (b[l] + d[l] * omega[l].abs());
+                    }
+                }
+                EffectKind::PeriodicFriction => {
+                    for l in 0..N {
+                        friction[l] += equations::wave([a[l], b[l], d[l]], theta[l]);
+                    }
+                }
+                EffectKind::TightSpot => {
+                    for l in 0..N {
+                        friction[l] += equations::bell([a[l], b[l], d[l]], theta[l]);
+                    }
+                }
+                EffectKind::QuadraticDrag => {
+                    for l in 0..N {
+                        torque[l] += a[l] * omega[l] * omega[l].abs();
+                    }
+                }
+                EffectKind::ViscousAsymmetry => {
+                    for l in 0..N {
+                        torque[l] += a[l] * omega[l].abs();
+                    }
+                }
+                EffectKind::BiasTorque => {
+                    for l in 0..N {
+                        torque[l] += a[l];
+                    }
+                }
+                EffectKind::Cogging => {
+                    for l in 0..N {
+                        torque[l] += equations::wave([a[l], b[l], d[l]], theta[l]);
+                    }
+                }
+                EffectKind::SpringLoad => {
+                    for l in 0..N {
+                        torque[l] += a[l] * (theta[l] - th0[l]);
+                    }
+                }
+                EffectKind::TorqueRipple => {
+                    for l in 0..N {
+                        ripple[l] *= 1.0 + equations::wave([a[l], b[l], d[l]], theta[l]);
+                    }
+                }
+                _ => {}
+            }
+        }
+        for l in 0..N {
+            self.felt.friction[l] = friction[l] * self.newton_metre[l];
+            self.felt.torque[l] = torque[l] * self.newton_metre[l];
+        }
+        self.sum = Sum {
+            friction,
+            torque,
+            ripple,
+        };
+    }
+
+    /// Whether there is anything for [`LaneEffects::level`].
+    #[inline(always)]
+    pub fn has_levels(&self) -> bool {
+        !self.slots.is_empty()
     }
 
     /// Whether the kernel has to take part.
@@ -343,13 +505,9 @@ impl<const N: usize> LaneEffects<N> {
     /// * `theta` rotor angles [rad]
     #[inline]
     pub fn electrical(&self, l: usize, theta: f64, k: [&mut f64; 3]) -> Option<f64> {
-        if !self.electrical {
-            return None;
-        }
         let e = self.lanes[l].as_ref()?;
-        let s = Signals { theta, ..e.signals };
-        for (k, c) in k.into_iter().zip(e.coefficients(&s)) {
-            *k *= c;
+        for (k, turns) in k.into_iter().zip(e.turns) {
+            *k *= turns * self.sum.ripple[l];
         }
         let error = e.electrical_error(theta);
         (error != 0.0).then_some(error * (6.0 / std::f64::consts::PI))
@@ -377,29 +535,21 @@ impl<const N: usize> LaneEffects<N> {
     /// Scales the back-EMF coefficients to those that make torque.
     #[inline]
     pub fn saturate(&self, l: usize, i: [f64; 3], k: [&mut f64; 3]) {
-        if self.saturated
-            && let Some(e) = &self.lanes[l]
-        {
+        if let Some(e) = &self.lanes[l] {
             for (k, i) in k.into_iter().zip(i) {
                 *k *= e.saturation(i / self.units[l].ampere);
             }
         }
     }
 
-    /// Works out torque and friction of a lane.
+    /// Works out the torque of what has a state in a lane, beside what [`LaneEffects::level`] says.
     ///
     /// * `th` angle from rest [rad], `turn` speed, `fd` dynamic friction without effects
     #[inline]
     pub fn mechanical(&mut self, l: usize, th: f64, turn: f64, fd: f64) {
-        if !self.mechanical {
-            return;
-        }
         let Some(e) = &mut self.lanes[l] else { return };
         let u = &self.units[l];
-        e.signals.theta = e.signals.rest + th;
-        e.signals.omega = turn / u.rad_per_s;
-        let s = &e.signals;
-        let (omega, friction, mut torque) = (s.omega, e.friction(s), e.torque(s));
+        let (omega, friction, mut torque) = (turn * self.rad_per_s[l], self.sum.friction[l], self.sum.torque[l]);
         if let Some(b) = &mut e.bristles {
             b.level = (fd / u.newton_metre + friction).max(0.0);
             torque += b.step(omega, self.dt);
@@ -408,8 +558,27 @@ impl<const N: usize> LaneEffects<N> {
             torque += b.torque(th, omega, self.dt);
             self.felt.th[l] = th;
         }
-        self.felt.friction[l] = friction * u.newton_metre;
         self.felt.torque[l] = torque * u.newton_metre;
+    }
+
+    /// Whether any lane needs [`LaneEffects::mechanical`].
+    pub fn has_state(&self) -> bool {
+        self.stateful
+    }
+
+    /// Whether any lane needs [`LaneEffects::saturate`].
+    pub fn is_saturated(&self) -> bool {
+        self.saturated
+    }
+
+    /// Whether any lane needs [`LaneEffects::user`].
+    pub fn has_behind(&self) -> bool {
+        self.behind
+    }
+
+    /// Whether any lane needs [`LaneEffects::electrical`].
+    pub fn is_electrical(&self) -> bool {
+        self.electrical
     }
 
     /// The angle that moves the user, from rest [rad], after a step which turned the motor by

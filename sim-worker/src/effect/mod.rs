@@ -21,6 +21,9 @@ pub use inject::{Felt, Injection, LaneEffects};
 pub use kind::{EffectKind, Equation, ParameterKey};
 pub use state::{Dahl, DelayLine, Play, TwoMass};
 
+/// Standard deviations from the middle of a normal distribution to the end of its central 95 %.
+const NORMAL_95: f64 = 1.959_964;
+
 /// An entry of an effect's provenance.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Note {
@@ -65,6 +68,24 @@ impl Effect {
     /// Name and value of each parameter.
     pub fn parameters(&self) -> impl Iterator<Item = (&'static ParameterKey, f64)> + '_ {
         self.kind.keys().iter().zip(self.values)
+    }
+
+    /// Moves its amplitude, or all its other values, by so many standard deviations of what identified it, within the
+    /// bounds of the kind; nothing where it was not identified.
+    pub fn deviate(&mut self, amplitude: bool, sigmas: f64) {
+        let Some(intervals) = self.intervals else { return };
+        for (i, key) in self
+            .kind
+            .keys()
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| (*i == 0) == amplitude)
+        {
+            let sd = (intervals[i].1 - intervals[i].0) / (2.0 * NORMAL_95);
+            if sd.is_finite() {
+                self.values[i] = (self.values[i] + sigmas * sd).clamp(key.low, key.high);
+            }
+        }
     }
 
     /// Whether it changes anything.

@@ -75,11 +75,16 @@ pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[E
     };
     let noise_of = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
     let has = |e: Equation| equations.contains(&e);
+    // where a measured load says what a torque is, the drive's gain is no longer a matter of scale alone
+    let mut drive_constant = rig.drive_constant.clone();
+    if bench.channel(BenchChannel::Load).is_some() {
+        drive_constant.trust = drive_constant.trust.map(|t| t.hypot(SENSOR_GAIN));
+    }
     let mut out = vec![
         machine("inertia", &rig.inertia, "kg m2"),
         machine("viscous", &rig.viscous, "N m s/rad"),
         machine("coulomb", &rig.coulomb, "N m"),
-        machine("torque_constant", &rig.drive_constant, "N m/A"),
+        machine("torque_constant", &drive_constant, "N m/A"),
     ];
     if rig.offset != 0.0 {
         let offset = Known {

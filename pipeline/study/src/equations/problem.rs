@@ -568,6 +568,25 @@ impl Problem {
         if count > 0.0 { sum / count / floor } else { 0.0 }
     }
 
+    /// As [`Problem::slow_energy`], of half the squared difference of neighbouring means, but not below the sensors': what
+    /// noise of any colour makes that is shorter than `seconds`, and of slow torques next to nothing.
+    pub fn unrest(&self, residual: &[f64], e: Equation, seconds: f64) -> f64 {
+        let m = ((seconds * self.row_rate_hz(e)) as usize).max(1);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for b in self.blocks.iter().filter(|b| b.equation == e) {
+            let mean = |rows: &[f64]| rows.iter().sum::<f64>() / (m as f64).sqrt();
+            let means: Vec<f64> = residual[b.rows.clone()].chunks_exact(m).map(mean).collect();
+            sum += means.windows(2).map(|w| 0.5 * (w[1] - w[0]).powi(2)).sum::<f64>();
+            count += means.len().saturating_sub(1) as f64;
+        }
+        let floor = self.sensor_floor[e.index()].powi(2);
+        if count > 0.0 {
+            (sum / count / floor).max(1.0)
+        } else {
+            1.0
+        }
+    }
+
     /// Sine and cosine of a frequency in the rows of a block, as local columns.
     pub fn add_hum(&mut self, block: usize, f_hz: f64) {
         let b = self.blocks[block].clone();

@@ -204,10 +204,10 @@ fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
     Ok(map)
 }
 
-type Labels = Vec<(String, String)>;
+pub(crate) type Labels = Vec<(String, String)>;
 
 /// Rows of each run that a `[[run]]` makes of its file.
-fn split(table: &Table, spec: &RunSpec) -> Result<Vec<(Labels, Vec<usize>)>> {
+pub(crate) fn split(table: &Table, spec: &RunSpec) -> Result<Vec<(Labels, Vec<usize>)>> {
     let mut rows: Vec<usize> = (0..table.rows).collect();
     for (column, values) in &spec.filter {
         let texts = table.texts(column)?;

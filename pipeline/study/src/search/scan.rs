@@ -301,14 +301,18 @@ impl<'a> Scan<'a> {
         (term, best.1)
     }
 
-    /// Whether a tight spot lies within the travel, so far that friction is seen to fall again on both
-    /// sides: else it may as well be the end of the stroke.
+    /// Whether a tight spot lies within the travel, so far that friction is seen to fall again on both sides: else it
+    /// may as well be the end of the stroke. And whether what repeats with the angle is seen to repeat: less than a
+    /// period is any smooth curve.
     fn inside(&self, kind: EffectKind, shape: &[f64]) -> bool {
-        if kind != EffectKind::TightSpot {
-            return true;
-        }
         let (low, high) = self.problem.travel();
-        shape[0] - 2.0 * shape[1] > low && shape[0] + 2.0 * shape[1] < high
+        match kind {
+            EffectKind::TightSpot => shape[0] - 2.0 * shape[1] > low && shape[0] + 2.0 * shape[1] < high,
+            EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
+                shape[0] * (high - low) > LEAST_PERIODS * std::f64::consts::TAU
+            }
+            _ => true,
+        }
     }
 
     /// A tenth of the order that a whole turn more over the stroke makes.
@@ -317,6 +321,9 @@ impl<'a> Scan<'a> {
         0.1 * std::f64::consts::TAU / (high - low).max(1e-9)
     }
 }
+
+/// Periods over the travel from which something is seen to repeat (assumed).
+const LEAST_PERIODS: f64 = 2.0;
 
 /// Whether amplitudes have the sign that physics allows.
 pub fn admissible(kind: EffectKind, amplitudes: &[f64]) -> bool {

@@ -155,7 +155,10 @@ impl Material {
             let next = m.again(bench, m.nuisances.clone(), m.constants.encoder, m.excess);
             let again = next.solve(terms, next.first_sigma());
             let gain = again.score.log_likelihood - tied.score.log_likelihood;
-            if gain < LEAST_DELAY_GAIN {
+            // what is far beyond the noise is no noise, and any shift takes a little of it
+            let beyond = |e: &Equation| again.score.energy[e.index()] / next.fit.sensor_energy(e.index()).max(1e-300);
+            let beyond = next.equations.iter().map(beyond).fold(1.0, f64::max);
+            if gain < LEAST_DELAY_GAIN * beyond {
                 break;
             }
             (m, tied) = (next, again);

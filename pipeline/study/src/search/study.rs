@@ -8,7 +8,7 @@ use crate::search::intervals;
 use crate::search::remainder;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
-use crate::search::verdict::{Verdict, WORTH, conclude, rough_energy};
+use crate::search::verdict::{SLOW_S, SLOWLY, Verdict, WORTH, conclude, rough_energy};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_worker::effect::{EffectKind, Equation};
@@ -44,6 +44,8 @@ const RIVAL: f64 = 5.0;
 const RIVAL_SHARE: f64 = 0.02;
 /// A block of held-out data whose gap stays beyond this energy, whatever the model, was disturbed (assumed).
 const DISTURBED: f64 = 6.0;
+/// Length of the pieces in which a disturbance shows by itself [s] (assumed).
+const DISTURBED_S: f64 = 0.05;
 
 /// One accepted or refused effect.
 #[derive(Clone, Debug)]
@@ -126,6 +128,29 @@ impl Material {
             .collect();
         draws.sort_by(f64::total_cmp);
         draws[DRAWS / 40]
+    }
+
+    /// By equation, the excess energy of the fit runs' blocks that are far beyond the noise and that a model leaves as
+    /// they were.
+    fn disturbed_energy(&self, before: &[f64], after: &[f64]) -> [f64; 5] {
+        let p = &self.fit;
+        let length = self.clock.block(DISTURBED_S);
+        let mut blocks: std::collections::BTreeMap<(usize, usize, usize), [f64; 3]> = Default::default();
+        for b in &p.blocks {
+            for (row, &k) in b.rows.clone().zip(&b.samples) {
+                let sum = blocks.entry((b.equation.index(), b.run, k / length)).or_default();
+                sum[0] += before[row].powi(2);
+                sum[1] += after[row].powi(2);
+                sum[2] += p.sensor_floor[b.equation.index()].powi(2);
+            }
+        }
+        let mut out = [0.0; 5];
+        for ((e, _, _), [before, after, floor]) in blocks {
+            if after > DISTURBED * floor && (before - after).abs() < 0.1 * before {
+                out[e] += before - floor;
+            }
+        }
+        out
     }
 
     /// A model without one of its terms, constants and amplitudes solved again.
@@ -266,6 +291,8 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
     while let Some(vague) = vague(&m, &model) {
         model = m.dropped(&model, vague);
+        m = m.around(&model);
+        model = m.polish(&m.solve(&model.terms, model.sigma), 1);
     }
     tell("proof on held-out data");
     let (unproven, proofs) = prove(&m, &mut model);
@@ -381,7 +408,9 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
     (0..model.terms.len()).rev().find(|&t| {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
-        let needed = || penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
+        // all constants together stand for a gain: their beliefs decide
+        let gain = e.kind == EffectKind::CurrentGain;
+        let needed = || !gain && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
         linear && intervals.terms[t][0] > VAGUE * e.values[0].abs() && !needed()
     })
 }
@@ -428,7 +457,12 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
                 .collect();
             return Some((step, next.clone(), rivals));
         }
+        let same_again = step.why_not == TWICE;
         out.get_or_insert(step);
+        if same_again {
+            // a shape that the list does not have is no reason for another name
+            return Some((out?, next.clone(), Vec::new()));
+        }
     }
     // two effects may each make it worse without the other
     if best_gain > PAIR_GAIN && model.terms.len() + 2 <= MOST_EFFECTS {
@@ -466,12 +500,12 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
 /// * `before` residual of the model, crossed
 fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked], before: &[f64]) -> Step {
     let lasts = || m.lasting_gain(&m.fit, before, &m.crossed(next), &next.sigma) > 0.0;
-    // a mass, a friction below zero is no machine
+    // a mass, a friction below zero is no machine; the first nominal value is what the prior's middle says
     let below = |n: &Nuisance, x: f64| {
         matches!(
             n.name,
             "inertia" | "viscous" | "coulomb" | "torque_constant" | "resistance"
-        ) && x <= -0.98
+        ) && 1.0 + x <= 0.02 * (1.0 + n.centre)
             || n.name == "play" && x < -1.1
     };
     // what is believed of a constant is not given up for an effect
@@ -505,7 +539,9 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked], b
         "no more than chance gives"
     } else if small(m, model, next) {
         "too small to matter"
-    } else if part(m, &model.score.energy, next) < LEAST_PART {
+    } else if twice(m, model, next) {
+        TWICE
+    } else if part(m, model, next) < LEAST_PART {
         "it explains little of what is left"
     } else if !lasts() {
         "data that did not fix its amplitudes do not get better"
@@ -522,6 +558,27 @@ fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked], b
     }
 }
 
+const TWICE: &str = "another of its kind is there already, of a shape that the list does not have";
+
+/// Whether a new term repeats one of its kind that is in the model: a spot within the other's width, a line of the angle's
+/// spectrum that the travel cannot tell from the other.
+fn twice(m: &Material, model: &Fit, next: &Fit) -> bool {
+    let (low, high) = m.fit.travel();
+    let turns = (high - low) / std::f64::consts::TAU;
+    let same = |a: &Term, b: &Term| {
+        a.kind == b.kind
+            && match a.kind {
+                EffectKind::TightSpot => (a.shape[0] - b.shape[0]).abs() < a.shape[1] + b.shape[1],
+                EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
+                    (a.shape[0] - b.shape[0]).abs() * turns < 1.0
+                }
+                _ => false,
+            }
+    };
+    let n = model.terms.len();
+    (n..next.terms.len()).any(|i| (0..i).any(|j| same(&next.terms[i], &next.terms[j])))
+}
+
 /// Whether all that the new terms add to the torque is next to nothing beside the drive's, and to no other equation
 /// anything.
 fn small(m: &Material, model: &Fit, next: &Fit) -> bool {
@@ -536,18 +593,39 @@ fn small(m: &Material, model: &Fit, next: &Fit) -> bool {
     !touched && p.energy(&all)[e] < LEAST_TORQUE.powi(2) * p.energy(&p.drive)[e]
 }
 
-/// Greatest share of the excess over the noise that any equation loses on the fit runs.
-fn part(m: &Material, before: &[f64; 5], next: &Fit) -> f64 {
-    let after = next.score.energy;
+/// Greatest share of the excess over the noise that any equation loses on the fit runs, but for what is disturbed and
+/// stays so: that is another story.
+fn part(m: &Material, model: &Fit, next: &Fit) -> f64 {
+    let (before, after) = (model.score.energy, next.score.energy);
+    let disturbed = m.disturbed_energy(&model.residual, &next.residual);
     let of = |e: usize| {
-        let excess = before[e] - noise_energy(m, next, e);
+        let excess = before[e] - noise_energy(m, next, e) - disturbed[e];
         if excess > 0.0 {
             (before[e] - after[e]) / excess
         } else {
             0.0
         }
     };
-    (0..5).map(of).fold(0.0, f64::max)
+    (0..5)
+        .map(|e| of(e).max(slow_part(m, model, next, Equation::ALL[e])))
+        .fold(0.0, f64::max)
+}
+
+/// As [`part`], of what lasts: means over some time, whose noise is that from one mean to the next. What is slow and small
+/// is nothing beside the noise of single rows.
+fn slow_part(m: &Material, model: &Fit, next: &Fit, e: Equation) -> f64 {
+    if m.fit.rows_of(e) == 0 || e == Equation::Controller {
+        return 0.0;
+    }
+    let of = |seconds: f64| {
+        let noise = m.fit.unrest(&next.residual, e, seconds);
+        let before = m.fit.slow_energy(&model.residual, e, seconds);
+        if before < SLOWLY * noise {
+            return 0.0;
+        }
+        (before - m.fit.slow_energy(&next.residual, e, seconds)) / (before - noise)
+    };
+    of(SLOW_S).min(of(2.0 * SLOW_S))
 }
 
 /// Energy of an equation's noise: the sensors' as they are said to be, or what the model leaves from row to row where

@@ -17,10 +17,10 @@ const FAR: f64 = 3.5;
 /// Energy over that of the noise that cannot be the noise's, with nothing found (assumed).
 const BEYOND: f64 = 1.35;
 /// Time over which a torque or voltage that is missing keeps its sign at least (assumed) [s].
-const SLOW_S: f64 = 0.02;
+pub const SLOW_S: f64 = 0.02;
 /// Energy over that of the noise of means over this time that is no noise, with nothing found (assumed); of two
 /// sensors of one motion, whose own errors are many, more.
-const SLOWLY: f64 = 2.0;
+pub const SLOWLY: f64 = 2.0;
 const SENSORS_APART: f64 = 12.0;
 /// A table that takes more than this share of an equation's energy has found something (assumed).
 pub const UNKNOWN_SHARE: f64 = 0.10;
@@ -160,7 +160,14 @@ pub fn conclude(
             Equation::Kinematic => SENSORS_APART,
             _ => SLOWLY,
         };
-        let far = |e: usize| slow[e] > slowly(e) && after[e] > BEYOND * held.sensor_energy(e);
+        // noise of a colour of its own is as strong from one mean to the next
+        let lasting = |e: usize| {
+            [SLOW_S, 2.0 * SLOW_S].iter().all(|s| {
+                let e = Equation::ALL[e];
+                held.slow_energy(&judged, e, *s) > SLOWLY * held.unrest(&judged, e, *s)
+            })
+        };
+        let far = |e: usize| slow[e] > slowly(e) && lasting(e) && after[e] > BEYOND * held.sensor_energy(e);
         let beyond = stated && (0..4).any(|e| by_equation[e].is_some() && far(e));
         let over = (0..4).any(|e| by_equation[e].is_some());
         let most = if stated { UNKNOWN_SHARE } else { 2.5 * UNKNOWN_SHARE };

@@ -1,5 +1,6 @@
 //! What a study found, in the words and numbers of its reports.
 
+use crate::told::verify::Verification;
 use serde_json::{Map, Value, json};
 
 /// An identified number.
@@ -215,6 +216,8 @@ pub struct Findings {
     pub assumptions: Vec<String>,
     /// the rig in closed loop with its known controller; empty without one
     pub closed_loop: Vec<crate::search::closed_loop::ClosedLoop>,
+    /// the simulators under the recorded command; `None` for a rig that is no actuator of ours
+    pub verification: Option<Verification>,
 }
 
 fn line(g: &GapLine) -> Value {
@@ -309,6 +312,12 @@ impl Findings {
                 "drive": { "nominal": c.nominal, "final": c.last },
                 "position": { "nominal": c.position_nominal, "final": c.position_last },
             })).collect::<Vec<_>>(),
+            "verify": self.verification.as_ref().map(|v| v.channels.iter().map(|c| json!({
+                "channel": c.channel, "unit": c.unit, "samples": c.samples, "heldout": v.heldout,
+                "parent": c.parent, "child": c.child,
+                "simplified": c.simplified.map(|s| json!({ "parent": s.0, "child": s.1 })),
+            })).collect::<Vec<_>>()),
+            "verify_left_out": self.verification.as_ref().map(|v| &v.left_out),
             "next_command": self.next_command,
             "next_reason": self.next_reason,
             "model": self.model,

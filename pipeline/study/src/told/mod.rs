@@ -5,3 +5,4 @@ pub mod next;
 pub mod persist;
 pub mod places;
 pub mod tell;
+pub mod verify;

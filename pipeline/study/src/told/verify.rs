@@ -1,0 +1,488 @@
+//! The actuator itself under the command that was recorded: the numerical test bench and the simplified model, with the
+//! parameters as they were (parent) and with what a study found (child), beside what was measured.
+
+use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role, RunSpec};
+use crate::measured::recording::split;
+use crate::measured::table::Table;
+use schemas::channel::{Channel, ChannelSet};
+use schemas::error::Result;
+use schemas::fault::FaultState;
+use sim_worker::monitor::{MonitorModel, STEP_S};
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::test_bench::{Lane, NumericalTestBench};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Time of all recordings together that is simulated at most [s] (assumed: a study is waited for).
+const LONGEST_S: f64 = 30.0;
+/// A change of the command is a step where it is so many times its neighbours' (assumed).
+const STEP: f64 = 8.0;
+/// Greatest angle of the user from zero [rad], and speed of the motor at the first sample over its greatest, of a recording
+/// that begins at rest (assumed).
+const AT_REST_USER_RAD: f64 = 2e-3;
+const AT_REST: f64 = 0.1;
+/// Greatest scatter of a load that counts as constant, relative (assumed).
+const CONSTANT_LOAD: f64 = 0.02;
+/// Length of what is shown [s] (assumed).
+const SHOWN_S: f64 = 0.4;
+
+/// The gap of one channel, root mean square.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VerifiedChannel {
+    /// name of the bench's channel
+    pub channel: String,
+    /// SI at the motor
+    pub unit: String,
+    /// samples that were compared
+    pub samples: usize,
+    /// of the test bench with the parameters as they were, and with what was found
+    pub parent: f64,
+    /// with what was found
+    pub child: f64,
+    /// of the simplified model with both, where it has the channel
+    pub simplified: Option<(f64, f64)>,
+}
+
+/// A stretch of a channel under the recorded command.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DrivenTrace {
+    /// name of the bench's channel
+    pub channel: String,
+    /// SI at the motor
+    pub unit: String,
+    /// file of the recording
+    pub run: String,
+    /// of the samples
+    pub time_s: Vec<f64>,
+    /// by the sensor
+    pub measured: Vec<f64>,
+    /// by the test bench with the parameters as they were
+    pub parent: Vec<f64>,
+    /// by the test bench with what was found
+    pub child: Vec<f64>,
+}
+
+/// What the simulator says under the recorded command.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Verification {
+    /// whether the gaps are of runs that proved and did not find
+    pub heldout: bool,
+    /// by channel, where there is a recording that could be simulated
+    pub channels: Vec<VerifiedChannel>,
+    /// of the two channels that tell most
+    pub traces: Vec<DrivenTrace>,
+    /// what was not simulated, and why
+    pub left_out: Vec<String>,
+}
+
+/// What simulators give for a channel of a bench.
+const CHANNELS: [(BenchChannel, Channel); 8] = [
+    (BenchChannel::Position, Channel::ThetaM),
+    (BenchChannel::Velocity, Channel::OmegaM),
+    (BenchChannel::Current, Channel::IQ),
+    (BenchChannel::UserPosition, Channel::ThetaU),
+    (BenchChannel::CurrentA, Channel::IA),
+    (BenchChannel::CurrentB, Channel::IB),
+    (BenchChannel::CurrentC, Channel::IC),
+    (BenchChannel::VDc, Channel::VDc),
+];
+
+/// One recording, from its start.
+struct Recorded {
+    file: String,
+    time_s: Vec<f64>,
+    /// user side [rad]
+    command: Vec<f64>,
+    measured: BTreeMap<BenchChannel, Vec<f64>>,
+    load_n_m: f64,
+    /// samples by which the gap is judged
+    counted: Vec<bool>,
+}
+
+/// Simulated channels of a recording, sample by sample.
+type Simulated = BTreeMap<BenchChannel, Vec<f64>>;
+
+/// Runs the test bench and the simplified model under the commands of all recordings of a bench.
+///
+/// * `parent`, `child` parameters without and with what was found
+///
+/// # Errors
+/// Refuses files that cannot be read.
+pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParameters) -> Result<Verification> {
+    let mut out = Verification {
+        heldout: bench.runs.iter().any(|r| r.role == Role::HeldOut),
+        ..Verification::default()
+    };
+    let judged = if out.heldout { Role::HeldOut } else { Role::Fit };
+    let mut groups: Vec<Vec<&RunSpec>> = Vec::new();
+    let moving = |r: &&RunSpec| !r.steady && matches!(r.role, Role::Fit | Role::Select | Role::HeldOut);
+    for r in bench.runs.iter().filter(moving) {
+        match groups
+            .iter_mut()
+            .find(|g| g[0].file == r.file && g[0].filter == r.filter)
+        {
+            Some(g) => g.push(r),
+            None => groups.push(vec![r]),
+        }
+    }
+    let mut tables: BTreeMap<&PathBuf, Table> = BTreeMap::new();
+    let mut sums: BTreeMap<BenchChannel, Sums> = BTreeMap::new();
+    let mut stretches: Vec<(BenchChannel, f64, DrivenTrace)> = Vec::new();
+    let mut simulated_s = 0.0;
+    for group in groups {
+        if !group.iter().any(|r| r.role == judged) {
+            continue;
+        }
+        let file = &group[0].file;
+        if !tables.contains_key(file) {
+            tables.insert(file, Table::read(file)?.with_q_current());
+        }
+        let recorded = match recorded(bench, &group, judged, &tables[file])? {
+            Ok(r) => r,
+            Err(why) => {
+                out.left_out.push(format!("{}: {why}", file.display()));
+                continue;
+            }
+        };
+        let length = recorded.time_s.last().expect("samples") - recorded.time_s[0];
+        if simulated_s + length > LONGEST_S {
+            let why = format!("beyond the {LONGEST_S} s that are simulated");
+            out.left_out.push(format!("{}: {why}", file.display()));
+            continue;
+        }
+        simulated_s += length;
+        let of = |p: &ActuatorParameters| (driven(bench, &recorded, p), simplified(&recorded, p));
+        let ((before, simple_before), (after, simple_after)) = rayon::join(|| of(parent), || of(child));
+        for (channel, _) in CHANNELS {
+            let (Some(x), Some(a), Some(b)) = (
+                recorded.measured.get(&channel),
+                before.get(&channel),
+                after.get(&channel),
+            ) else {
+                continue;
+            };
+            let sum = sums.entry(channel).or_default();
+            let simple = simple_before.get(&channel).zip(simple_after.get(&channel));
+            for k in (0..x.len()).filter(|&k| recorded.counted[k]) {
+                sum.samples += 1;
+                sum.parent += (x[k] - a[k]).powi(2);
+                sum.child += (x[k] - b[k]).powi(2);
+                if let Some((a, b)) = simple {
+                    sum.simplified.0 += (x[k] - a[k]).powi(2);
+                    sum.simplified.1 += (x[k] - b[k]).powi(2);
+                    sum.has_simplified = true;
+                }
+            }
+            if matches!(channel, BenchChannel::Current | BenchChannel::Velocity) {
+                stretches.extend(stretch(&recorded, channel, x, a, b));
+            }
+        }
+    }
+    let root = |sum: f64, n: usize| (sum / n.max(1) as f64).sqrt();
+    out.channels = sums
+        .iter()
+        .map(|(c, s)| VerifiedChannel {
+            channel: c.name().to_string(),
+            unit: c.quantity().si().to_string(),
+            samples: s.samples,
+            parent: root(s.parent, s.samples),
+            child: root(s.child, s.samples),
+            simplified: s
+                .has_simplified
+                .then(|| (root(s.simplified.0, s.samples), root(s.simplified.1, s.samples))),
+        })
+        .collect();
+    // of each channel the stretch in which the parent is furthest off
+    stretches.sort_by(|a, b| (a.0, b.1).partial_cmp(&(b.0, a.1)).expect("finite"));
+    stretches.dedup_by_key(|s| s.0);
+    out.traces = stretches.into_iter().map(|s| s.2).collect();
+    Ok(out)
+}
+
+/// Sums of squares of a channel.
+#[derive(Default)]
+struct Sums {
+    samples: usize,
+    parent: f64,
+    child: f64,
+    simplified: (f64, f64),
+    has_simplified: bool,
+}
+
+/// A recording that begins at rest under a command; else why it cannot be simulated.
+fn recorded(
+    bench: &Bench,
+    group: &[&RunSpec],
+    judged: Role,
+    table: &Table,
+) -> Result<std::result::Result<Recorded, String>> {
+    let spec = group[0];
+    let Some(command) = bench.channel(BenchChannel::Command) else {
+        return Ok(Err("no channel `command`".into()));
+    };
+    if !spec.split.is_empty() {
+        return Ok(Err("several runs in one file".into()));
+    }
+    let rows = split(table, spec)?.swap_remove(0).1;
+    let column = |c: &ChannelSpec| -> Result<Vec<f64>> {
+        let x = table.numbers(&c.column)?;
+        let minus = c.minus.as_ref().map(|m| table.numbers(m)).transpose()?;
+        Ok(rows
+            .iter()
+            .map(|&r| (x[r] - minus.map_or(0.0, |m| m[r])) * c.factor)
+            .collect())
+    };
+    let time = bench.channel(BenchChannel::Time);
+    let time_s = time.map(column).transpose()?.unwrap_or_default();
+    if time_s.len() < 64 {
+        return Ok(Err(format!("{} samples", time_s.len())));
+    }
+    let mut measured = BTreeMap::new();
+    for (c, _) in CHANNELS {
+        if let Some(spec) = bench.channel(c).filter(|s| table.numbers(&s.column).is_ok()) {
+            measured.insert(c, late(&time_s, column(spec)?, spec.delay_s));
+        }
+    }
+    // the file's own where phases make it
+    if bench.has_phases()
+        && let Ok(x) = table.numbers("i_q")
+    {
+        measured.insert(BenchChannel::Current, rows.iter().map(|&r| x[r]).collect());
+    }
+    let Some(angle) = measured.get(&BenchChannel::Position) else {
+        return Ok(Err("no channel `position`".into()));
+    };
+    let step = |k: usize| (angle[k + 1] - angle[k]).abs() / (time_s[k + 1] - time_s[k]).max(1e-9);
+    let fastest = (0..angle.len() - 1).map(step).fold(0.0, f64::max);
+    let first = measured
+        .get(&BenchChannel::Velocity)
+        .map_or_else(|| step(0), |w| w[0].abs());
+    let user = measured
+        .get(&BenchChannel::UserPosition)
+        .map_or(0.0, |u| u[0] / bench.rig.gear_ratio);
+    if first > AT_REST * fastest || user.abs() > AT_REST_USER_RAD {
+        let why = format!("does not begin at rest at zero (user at {user:.4} rad, motor at {first:.1} rad/s)");
+        return Ok(Err(why));
+    }
+    let mut load_n_m = 0.0;
+    if let Some(load) = bench.channel(BenchChannel::Load) {
+        let x = column(load)?;
+        load_n_m = x.iter().sum::<f64>() / x.len() as f64;
+        if x.iter().any(|x| (x - load_n_m).abs() > CONSTANT_LOAD * load_n_m.abs()) {
+            return Ok(Err("its load changes".into()));
+        }
+    }
+    let counted = |t: &f64| {
+        let of = |r: &&&RunSpec| r.role == judged;
+        group
+            .iter()
+            .filter(of)
+            .any(|r| r.window_s.is_none_or(|(from, to)| *t >= from && *t <= to))
+    };
+    Ok(Ok(Recorded {
+        file: spec
+            .file
+            .file_name()
+            .map_or_else(String::new, |f| f.to_string_lossy().into_owned()),
+        counted: time_s.iter().map(counted).collect(),
+        command: column(command)?.iter().map(|c| c / bench.rig.gear_ratio).collect(),
+        time_s,
+        measured,
+        load_n_m,
+    }))
+}
+
+/// A channel that says what was `delay_s` ago, at its own time.
+fn late(time_s: &[f64], x: Vec<f64>, delay_s: f64) -> Vec<f64> {
+    if delay_s == 0.0 {
+        return x;
+    }
+    let mut j = 0;
+    let at = |t: f64| {
+        while j + 2 < x.len() && time_s[j + 1] < t {
+            j += 1;
+        }
+        let share = ((t - time_s[j]) / (time_s[j + 1] - time_s[j])).clamp(0.0, 1.0);
+        x[j] + share * (x[j + 1] - x[j])
+    };
+    time_s.iter().map(|t| t + delay_s).map(at).collect()
+}
+
+/// The recorded command at any time: straight between samples, but for steps, which come with the later sample.
+struct CommandBetween<'a> {
+    time_s: &'a [f64],
+    value: &'a [f64],
+}
+
+impl CommandBetween<'_> {
+    /// * `k` the sample before `t`
+    fn at(&self, k: usize, t: f64) -> f64 {
+        let n = self.value.len();
+        let change = |k: usize| self.value[k + 1] - self.value[k];
+        if k + 1 >= n {
+            return self.value[n - 1];
+        }
+        let before = if k > 0 { change(k - 1).abs() } else { f64::INFINITY };
+        let after = if k + 2 < n { change(k + 1).abs() } else { f64::INFINITY };
+        let is_step = change(k).abs() > STEP * before.max(after) && change(k) != 0.0;
+        if is_step {
+            return self.value[k];
+        }
+        let share = (t - self.time_s[k]) / (self.time_s[k + 1] - self.time_s[k]);
+        self.value[k] + share * change(k)
+    }
+
+    /// Commands of the steps after sample `k - 1` up to sample `k`, of length `dt`.
+    ///
+    /// * `first` number of the first of them, counted from time 0
+    fn fill(&self, k: usize, first: u64, dt: f64, out: &mut [f64]) {
+        for (j, o) in out.iter_mut().enumerate() {
+            let t = (first + j as u64) as f64 * dt;
+            *o = if k == 0 { self.value[0] } else { self.at(k - 1, t) };
+        }
+    }
+}
+
+impl Recorded {
+    /// Number of the step at which each sample is taken, from where the recording begins.
+    fn steps(&self, dt: f64) -> (u64, Vec<u64>) {
+        let first = self.time_s[0];
+        let step = self.time_s[1] - first;
+        // telemetry begins one interval after the start
+        let start = if first > 0.0 && first < 1.5 * step { 0.0 } else { first };
+        let at = |t: f64| (t / dt).round() as u64;
+        (at(start.max(0.0)), self.time_s.iter().map(|t| at(t.max(0.0))).collect())
+    }
+}
+
+/// The numerical test bench under the recorded command.
+fn driven(bench: &Bench, r: &Recorded, p: &ActuatorParameters) -> Simulated {
+    let dt = p.step_s;
+    let (mut done, ends) = r.steps(dt);
+    let asked: Vec<(BenchChannel, Channel)> = CHANNELS
+        .into_iter()
+        .filter(|(c, _)| r.measured.contains_key(c))
+        .collect();
+    let rest = r.measured.get(&BenchChannel::Position).map_or(0.0, |x| x[0]);
+    let lane = Lane {
+        actuator: Arc::new(p.clone()),
+        fault: FaultState::NOMINAL,
+        rest_angle_rad: rest,
+        load_n_m: r.load_n_m,
+    };
+    let channels = ChannelSet::of(asked.iter().map(|(_, c)| *c));
+    let mut ntb = NumericalTestBench::<1>::new(&[lane], channels);
+    let command = CommandBetween {
+        time_s: &r.time_s,
+        value: &r.command,
+    };
+    let mut out = Simulated::new();
+    let mut com = Vec::new();
+    for (k, &end) in ends.iter().enumerate() {
+        com.resize(end.saturating_sub(done) as usize, 0.0);
+        command.fill(k, done, dt, &mut com);
+        ntb.next_interval();
+        ntb.advance(&com);
+        done = done.max(end);
+        for (c, channel) in &asked {
+            let gear = if *c == BenchChannel::UserPosition {
+                bench.rig.gear_ratio
+            } else {
+                1.0
+            };
+            let x = ntb.samples(*channel)[0] * gear;
+            let column = out.entry(*c).or_default();
+            // a mean over nothing is the last one
+            let last = column.last().copied().unwrap_or(0.0);
+            column.push(if x.is_finite() { x } else { last });
+        }
+    }
+    out
+}
+
+/// The simplified model under the recorded command.
+fn simplified(r: &Recorded, p: &ActuatorParameters) -> Simulated {
+    let (mut done, ends) = r.steps(STEP_S);
+    let rest = r.measured.get(&BenchChannel::Position).map_or(0.0, |x| x[0]);
+    let mut m = MonitorModel::new(p, STEP_S).at_rest_angle(rest);
+    let command = CommandBetween {
+        time_s: &r.time_s,
+        value: &r.command,
+    };
+    let mut out = Simulated::new();
+    let mut com = Vec::new();
+    let mut mean = 0.0;
+    for (k, &end) in ends.iter().enumerate() {
+        com.resize(end.saturating_sub(done) as usize, 0.0);
+        command.fill(k, done, STEP_S, &mut com);
+        done = done.max(end);
+        let mut sum = 0.0;
+        for c in &com {
+            m.step(*c);
+            sum += m.i;
+        }
+        if !com.is_empty() {
+            mean = sum / com.len() as f64;
+        }
+        let values = [
+            (BenchChannel::Position, rest + m.motor_angle_rad()),
+            (BenchChannel::Velocity, m.w),
+            (BenchChannel::Current, mean),
+            (BenchChannel::UserPosition, m.user_angle_rad() * p.gear_ratio),
+        ];
+        for (c, x) in values {
+            out.entry(c).or_default().push(x);
+        }
+    }
+    out
+}
+
+/// The stretch of a recording in which the parent is furthest from what was measured, of the samples that count.
+fn stretch(
+    r: &Recorded,
+    channel: BenchChannel,
+    x: &[f64],
+    parent: &[f64],
+    child: &[f64],
+) -> Option<(BenchChannel, f64, DrivenTrace)> {
+    let n = x.len();
+    let wide = r.time_s.partition_point(|t| *t < r.time_s[0] + SHOWN_S).clamp(2, n);
+    let energy = |from: usize| -> f64 {
+        (from..(from + wide).min(n))
+            .filter(|&k| r.counted[k])
+            .map(|k| (x[k] - parent[k]).powi(2))
+            .sum()
+    };
+    let starts = (0..n).step_by((wide / 2).max(1)).filter(|&k| r.counted[k]);
+    let (from, e) = starts.map(|k| (k, energy(k))).max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let part = from..(from + wide).min(n);
+    let trace = DrivenTrace {
+        channel: channel.name().to_string(),
+        unit: channel.quantity().si().to_string(),
+        run: r.file.clone(),
+        time_s: r.time_s[part.clone()].to_vec(),
+        measured: x[part.clone()].to_vec(),
+        parent: parent[part.clone()].to_vec(),
+        child: child[part].to_vec(),
+    };
+    Some((channel, e, trace))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_is_held_and_a_slope_is_straight() {
+        let time_s = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+        let value = [0.0, 0.1, 0.2, 5.0, 5.0, 5.0];
+        let c = CommandBetween {
+            time_s: &time_s,
+            value: &value,
+        };
+        assert!((c.at(0, 0.5) - 0.05).abs() < 1e-12);
+        assert_eq!(c.at(2, 2.9), 0.2);
+        assert_eq!(c.at(3, 3.1), 5.0);
+    }
+}
