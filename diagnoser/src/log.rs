@@ -5,7 +5,6 @@
 use crate::receive::words::Complain;
 use crate::report::{Logged, to_batch};
 use arrow::array::RecordBatch;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use schemas::error::{Error, Result};
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -125,27 +124,19 @@ fn mend(file: &mut File) -> std::io::Result<()> {
 
 /// Rows of an earlier log; refuses other tables.
 fn read(path: &Path) -> Result<Vec<RecordBatch>> {
-    let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
-    let file = File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| torn(&e))?;
-    let names = |s: &arrow::datatypes::Schema| s.fields().iter().map(|f| f.name().clone()).collect::<Vec<_>>();
-    let (found, allowed) = (names(builder.schema()), names(&to_batch(&[]).schema()));
-    if found != allowed {
-        let file = path.display().to_string();
-        return Err(Error::bad(
-            file,
-            "columns",
-            found.join(","),
-            "those of a log of diagnoses",
-        ));
-    }
+    let batches = schemas::recording::read_batches(path)?;
     let schema = to_batch(&[]).schema();
-    let reader = builder.build().map_err(|e| torn(&e))?;
-    reader
-        .map(|b| {
-            let b = b.map_err(|e| torn(&e))?;
-            RecordBatch::try_new(schema.clone(), b.columns().to_vec()).map_err(|e| torn(&e))
-        })
+    let names = |s: &arrow::datatypes::Schema| s.fields().iter().map(|f| f.name().clone()).collect::<Vec<_>>();
+    let allowed = names(&schema);
+    if let Some(other) = batches.iter().map(|b| names(&b.schema())).find(|n| *n != allowed) {
+        let file = path.display().to_string();
+        let allowed = "those of a log of diagnoses";
+        return Err(Error::bad(file, "columns", other.join(","), allowed));
+    }
+    let typed = |b: &RecordBatch| RecordBatch::try_new(schema.clone(), b.columns().to_vec());
+    batches
+        .iter()
+        .map(|b| typed(b).map_err(|e| Error::torn(path, e)))
         .collect()
 }
 

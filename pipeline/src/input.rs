@@ -321,11 +321,22 @@ fn check(path: &Path, m: &Measured) -> Result<()> {
             return Err(Error::bad(file, "columns", "nothing", allowed).into());
         };
         if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-            let place = format!("row {}, column `{}`", i + 1, c.name());
-            return Err(Error::bad(file, place, values[i], "a finite number").into());
+            return Err(not_finite(&file, c, i, values[i]));
+        }
+    }
+    // the same rule for what else is there
+    for &c in Channel::ALL {
+        let values = m.telemetry.column(c).unwrap_or_default();
+        if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+            return Err(not_finite(&file, c, i, values[i]));
         }
     }
     Ok(())
+}
+
+fn not_finite(file: &str, c: Channel, row: usize, found: f64) -> anyhow::Error {
+    let place = format!("row {}, column `{}`", row + 1, c.name());
+    Error::bad(file, place, found, "a finite number").into()
 }
 
 /// Share of the recording's samples whose command is that of `sequence`, and how many lie within it.

@@ -5,11 +5,12 @@ use crate::SCHEMA_VERSION;
 use crate::channel::{Channel, ChannelSet};
 use crate::error::{Error, Result, temporary};
 use crate::fault::FaultState;
+use crate::guard::guarded;
 use crate::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use arrow::array::{Array, ArrayRef, AsArray, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
 use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, UInt64Type};
 use parquet::arrow::ArrowWriter;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
@@ -334,8 +335,41 @@ fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
             "empty file (0 bytes); allowed: a Parquet or CSV telemetry file",
         ));
     }
-    ParquetRecordBatchReaderBuilder::try_new(file)
-        .map_err(|e| Error::torn(path, format!("not a whole Parquet file of {size} bytes ({e})")))
+    let whole = |e: String| Error::torn(path, format!("not a whole Parquet file of {size} bytes ({e})"));
+    guarded(|| ParquetRecordBatchReaderBuilder::try_new(file))
+        .map_err(|e| whole(e.to_string()))?
+        .map_err(|e| whole(e.to_string()))
+}
+
+/// The batches of a file; what its decoder cannot stand is a torn file.
+struct Batches {
+    reader: Option<ParquetRecordBatchReader>,
+    path: PathBuf,
+}
+
+impl Batches {
+    fn of(path: &Path, builder: ParquetRecordBatchReaderBuilder<File>) -> Result<Self> {
+        let reader = guarded(|| builder.build()).map_err(|e| Error::torn(path, e))?;
+        Ok(Self {
+            reader: Some(reader.map_err(|e| Error::torn(path, e))?),
+            path: path.into(),
+        })
+    }
+}
+
+impl Iterator for Batches {
+    type Item = Result<RecordBatch>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let reader = self.reader.as_mut()?;
+        match guarded(|| reader.next()) {
+            Ok(batch) => batch.map(|b| b.map_err(|e| Error::torn(&self.path, e))),
+            Err(e) => {
+                self.reader = None;
+                Some(Err(Error::torn(&self.path, e)))
+            }
+        }
+    }
 }
 
 /// All rows of any Parquet file.
@@ -343,9 +377,7 @@ fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
 /// # Errors
 /// A file that is not there, is empty, or is not whole.
 pub fn read_batches(path: &Path) -> Result<Vec<RecordBatch>> {
-    let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
-    let reader = open(path)?.build().map_err(|e| torn(&e))?;
-    reader.map(|b| b.map_err(|e| torn(&e))).collect()
+    Batches::of(path, open(path)?)?.collect()
 }
 
 /// Key-value metadata of a Parquet file.
@@ -399,12 +431,23 @@ impl Recording {
     /// # Errors
     /// A torn file, a column of another type, a gap within a run; what `sink` refuses.
     pub fn replay(&self, block: usize, sink: &mut dyn TelemetrySink) -> Result<()> {
-        let torn = |e: &dyn std::fmt::Display| Error::torn(&self.path, e);
-        let reader = open(&self.path)?.with_batch_size(block).build().map_err(|e| torn(&e))?;
+        let mut seen = 0;
         let mut buffer = TelemetryBuffer::new(self.channels, block);
         let mut next = (u64::MAX, 0);
-        for batch in reader {
-            let batch = batch.map_err(|e| torn(&e))?;
+        for batch in Batches::of(&self.path, open(&self.path)?.with_batch_size(block))? {
+            let batch = batch?;
+            let needed = ["run", "t_ns"]
+                .into_iter()
+                .chain(self.channels.iter().map(Channel::name));
+            for name in needed {
+                let nulls = batch.column_by_name(name).and_then(|c| c.nulls());
+                if let Some(i) = nulls.and_then(|n| (0..n.len()).find(|&i| n.is_null(i))) {
+                    let place = format!("row {}, column `{name}`", seen + i + 1);
+                    let file = self.path.display().to_string();
+                    return Err(Error::bad(file, place, "null", "a number"));
+                }
+            }
+            seen += batch.num_rows();
             let column = |name: &str| batch.column_by_name(name).expect("checked when opened");
             let wrong = |name: &str, t: &DataType| {
                 Error::bad(

@@ -9,6 +9,9 @@ use std::path::Path;
 
 const REFERENCE: &str = include_str!("../../datasets/parameters/reference.toml");
 
+/// Shortest step of a simulation [s] (assumed): a test of 3 s is then 300 million of them.
+const LEAST_STEP_S: f64 = 1e-8;
+
 /// What a parameter may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Bound {
@@ -57,7 +60,7 @@ impl Bound {
             Self::Share => (0.0..=1.0).contains(&x),
             Self::Efficiency => x > 0.0 && x <= 1.0,
             Self::PolePairs => x.fract() == 0.0 && (1.0..=100.0).contains(&x),
-            Self::Step => x > 0.0 && x <= 0.1 * electrical && x <= 1e-4,
+            Self::Step => x >= LEAST_STEP_S && x <= 0.1 * electrical && x <= 1e-4,
             Self::Temperature => (-100.0..=300.0).contains(&x),
         }
     }
@@ -70,7 +73,9 @@ impl Bound {
             Self::Share => "0 to 1".into(),
             Self::Efficiency => "a number above 0 and at most 1".into(),
             Self::PolePairs => "a whole number from 1 to 100".into(),
-            Self::Step => format!("above 0, at most a tenth of L/R = {electrical:.3e} s and at most 1e-4 s").into(),
+            Self::Step => {
+                format!("at least 1e-8 s, at most a tenth of L/R = {electrical:.3e} s and at most 1e-4 s").into()
+            }
             Self::Temperature => "-100 to 300 degC".into(),
         }
     }

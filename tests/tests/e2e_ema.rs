@@ -685,3 +685,49 @@ fn refuse_what_physics_forbids() {
     refused(&["run", "--rate", "2e6", "--out", text(&out)], &["rate", "2000000"]);
     assert!(!out.exists());
 }
+
+/// Files that once were read as values, brought the program down, or never ended.
+#[test]
+fn refuse_damaged_files_in_one_line() {
+    let Some(reference) = ema_tests::folder("EMA_REFERENCE_DIR") else {
+        return;
+    };
+    let damaged = reference.join("damaged");
+    if !damaged.exists() {
+        println!("skipped: no damaged in EMA_REFERENCE_DIR");
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let refused = |args: &[&str], wanted: &[&str]| {
+        let o = run(args);
+        let said = String::from_utf8_lossy(&o.stderr).into_owned();
+        assert!(!matches!(o.status.code(), None | Some(0 | 101)), "{args:?}: {o:?}");
+        assert_eq!(said.lines().count(), 1, "{args:?}: {said}");
+        assert!(
+            said.starts_with("ema: ") && wanted.iter().all(|w| said.contains(w)),
+            "{args:?}: {said}"
+        );
+    };
+    let of = |name: &str| damaged.join(name).display().to_string();
+    refused(
+        &["diagnose", &of("null-30-ia.parquet")],
+        &["row ", "column `i_a`", "null"],
+    );
+    refused(
+        &["diagnose", &of("null-100-omega.parquet")],
+        &["row ", "column `omega_m`", "null"],
+    );
+    for file in ["panic-byte-range.parquet", "panic-byte-stream-split.parquet"] {
+        refused(&["diagnose", &of(file)], &[file]);
+        refused(&["discrepancy", "--bench", &of(file)], &[file]);
+    }
+    let out = dir.path().join("run.csv");
+    for file in ["step-1e-12.toml", "step-1e-308.toml"] {
+        let actuator = of(file);
+        refused(
+            &["run", "--actuator", &actuator, "--out", text(&out)],
+            &["step_s", "1e-8"],
+        );
+        assert!(!out.exists());
+    }
+}

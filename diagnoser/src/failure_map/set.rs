@@ -4,7 +4,6 @@ use super::{FailureMap, MapBudget};
 use crate::uncertainty::MOST;
 use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Float64Type, Schema};
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use schemas::error::{Error, Result};
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::fingerprint::{exact, fingerprint};
@@ -177,15 +176,8 @@ impl FailureMapSet {
             .get("ema.maps")
             .ok_or_else(|| Error::bad(&file, "metadata `ema.maps`", "nothing", "a file written by `ema maps`"))?;
         let stored: Stored = serde_json::from_str(text).map_err(|e| Error::torn(path, e))?;
-        let torn = |e: &dyn std::fmt::Display| Error::torn(path, e);
-        let input = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-        let reader = ParquetRecordBatchReaderBuilder::try_new(input)
-            .map_err(|e| torn(&e))?
-            .build()
-            .map_err(|e| torn(&e))?;
         let mut rows: BTreeMap<Feature, Vec<[f64; 4]>> = BTreeMap::new();
-        for batch in reader {
-            let batch = batch.map_err(|e| torn(&e))?;
+        for batch in schemas::recording::read_batches(path)? {
             let missing = |n: &str| {
                 Error::bad(
                     &file,

@@ -12,39 +12,14 @@ use schemas::SCHEMA_VERSION;
 use schemas::error::{Error, Result};
 use schemas::feature::{Feature, RawFeatures};
 use schemas::fingerprint::checksum;
+use schemas::guard::guarded;
 use schemas::recording::{Provenance, table_bytes};
-use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::{Arc, Once};
+use std::sync::Arc;
 
 fn torn(path: &str, e: impl std::fmt::Display) -> Error {
     Error::torn(Path::new(path), e)
-}
-
-thread_local! {
-    static GUARDED: Cell<bool> = const { Cell::new(false) };
-}
-
-/// Reads bytes that may be damaged: the Parquet library panics on some of them. Such a panic is an error, and
-/// says nothing on standard error.
-///
-/// # Errors
-/// A panic of `read`.
-pub fn guarded<T>(read: impl FnOnce() -> T) -> std::result::Result<T, &'static str> {
-    static HOOK: Once = Once::new();
-    HOOK.call_once(|| {
-        let before = std::panic::take_hook();
-        std::panic::set_hook(Box::new(move |info| {
-            if !GUARDED.get() {
-                before(info);
-            }
-        }));
-    });
-    GUARDED.set(true);
-    let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(read));
-    GUARDED.set(false);
-    done.map_err(|_| "damaged within")
 }
 
 /// A Parquet file by its footer.
