@@ -389,7 +389,8 @@ mod tests {
             assert!((straight.slopes[0][0] - 0.05 * at(Cause::Resistance)).abs() < 1e-12);
             assert_eq!((straight.causes, straight.shift[0]), (1, 0.0));
             // about any guess the straight line touches the bent surface: 30 x^2 here
-            let guess = [0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+            let mut guess = [0.0; Cause::COUNT];
+            guess[0] = 0.4;
             let x = 0.4 * 0.05;
             let about = prepared.at(f, z, &guess);
             let touched = about.shift[0] + 0.4 * about.slopes[0][0];

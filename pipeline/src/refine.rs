@@ -499,7 +499,8 @@ mod tests {
     #[test]
     fn prop_a_known_cause_narrows_the_box_and_a_missing_feature_widens_it() {
         let (setup, spread) = (setup(), catalogue::spread("fleet").unwrap());
-        let draw = [0.5, -0.6, 0.4, -0.7, 0.3, 0.0, 0.0];
+        let mut draw = [0.0; Cause::COUNT];
+        draw[..5].copy_from_slice(&[0.5, -0.6, 0.4, -0.7, 0.3]);
         let truth = (3.1, 0.21);
         let (nominal, features) = recording(&setup, &spread, draw, truth);
         let run = |features: &Features, known: &Known| {

@@ -76,7 +76,7 @@ pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[E
     let noise_of = |c: BenchChannel| noise.get(&c).map_or(0.0, |n| n.rms);
     let has = |e: Equation| equations.contains(&e);
     // where a measured load says what a torque is, the drive's gain is no longer a matter of scale alone
-    let mut drive_constant = rig.drive_constant.clone();
+    let mut drive_constant = rig.drive_constant;
     if bench.channel(BenchChannel::Load).is_some() {
         drive_constant.trust = drive_constant.trust.map(|t| t.hypot(SENSOR_GAIN));
     }
