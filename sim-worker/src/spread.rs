@@ -211,6 +211,9 @@ impl Spread {
     /// was identified.
     pub fn identified(actuator: &ActuatorParameters) -> Option<Self> {
         let of = |key: &str| actuator.uncertainty.of(key).map_or(0.0, |x| (3f64.sqrt() * x).min(0.5));
+        if actuator.uncertainty.parameters.is_empty() {
+            return None;
+        }
         let mut spread = Self::none();
         spread.name = "identified".into();
         spread.half_width[Cause::Resistance as usize] = of("motor.phase_resistance_ohm");
@@ -224,7 +227,7 @@ impl Spread {
             spread.half_width[Cause::EffectAmplitude as usize] = 3f64.sqrt();
             spread.half_width[Cause::EffectShape as usize] = 3f64.sqrt();
         }
-        (!spread.is_none()).then_some(spread)
+        Some(spread)
     }
 
     /// From a TOML file's table.
@@ -341,6 +344,18 @@ mod tests {
         // what is known of a unit is found again
         let found = Cause::Resistance.deviation(&a, 0.0, unit.phase_resistance_ohm);
         assert!((found - 0.05).abs() < 1e-12, "{found}");
+    }
+
+    #[test]
+    fn prop_only_what_was_studied_is_uncertain() {
+        let mut a = ActuatorParameters::reference();
+        assert_eq!(Spread::identified(&a), None);
+        a.uncertainty.parameters = vec!["motor.inertia_kg_m2".into()];
+        a.uncertainty.deviation = vec![0.01];
+        a.uncertainty.correlation = vec![1.0];
+        let spread = Spread::identified(&a).unwrap();
+        assert!((spread.half_width[Cause::Inertia as usize] - 0.01 * 3f64.sqrt()).abs() < 1e-12);
+        assert_eq!(spread.half_width[Cause::BreakAway as usize], 0.05);
     }
 
     #[test]
