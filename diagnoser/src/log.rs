@@ -124,14 +124,13 @@ fn mend(file: &mut File) -> std::io::Result<()> {
 
 /// Rows of an earlier log; refuses other tables.
 fn read(path: &Path) -> Result<Vec<RecordBatch>> {
-    let batches = schemas::recording::read_batches(path)?;
+    let (found, batches) = schemas::recording::read_table(path)?;
     let schema = to_batch(&[]).schema();
     let names = |s: &arrow::datatypes::Schema| s.fields().iter().map(|f| f.name().clone()).collect::<Vec<_>>();
-    let allowed = names(&schema);
-    if let Some(other) = batches.iter().map(|b| names(&b.schema())).find(|n| *n != allowed) {
+    if names(&found) != names(&schema) {
         let file = path.display().to_string();
         let allowed = "those of a log of diagnoses";
-        return Err(Error::bad(file, "columns", other.join(","), allowed));
+        return Err(Error::bad(file, "columns", names(&found).join(","), allowed));
     }
     let typed = |b: &RecordBatch| RecordBatch::try_new(schema.clone(), b.columns().to_vec());
     batches
@@ -289,6 +288,13 @@ mod tests {
         std::fs::write(&other, b"PAR1 not a table").unwrap();
         assert!(Log::open(&other, Arc::new(|_: &str| ())).is_err());
         assert_eq!(std::fs::read(&other).unwrap(), b"PAR1 not a table");
+        // also one without rows
+        let field = arrow::datatypes::Field::new("x", arrow::datatypes::DataType::Float64, false);
+        let empty = RecordBatch::new_empty(Arc::new(arrow::datatypes::Schema::new(vec![field])));
+        let bytes = schemas::recording::table_bytes(&[empty], Vec::new()).unwrap();
+        std::fs::write(&other, &bytes).unwrap();
+        assert!(Log::open(&other, Arc::new(|_: &str| ())).is_err());
+        assert_eq!(std::fs::read(&other).unwrap(), bytes);
         std::fs::remove_dir_all(&dir).unwrap();
     }
 }

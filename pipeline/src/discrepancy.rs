@@ -6,7 +6,6 @@ use anyhow::Result;
 use ema_study::measured::bench::{Bench, is_recording};
 use ema_study::measured::{check, recording};
 use ema_study::search::select::Material;
-use ema_study::search::study;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
@@ -60,7 +59,7 @@ impl Request {
 /// Refuses files that cannot be read and measurements that no study can be made of, with file, place and what
 /// is allowed.
 pub fn study_file(request: &Request, tell: &dyn Fn(&str)) -> Result<Findings> {
-    Ok(studied(request, None, tell)?.findings)
+    Ok(study(request, None, tell)?.findings)
 }
 
 /// As [`study_file`]; writes `report.json`, `report.html`, and where something was found on healthy machines and
@@ -69,16 +68,24 @@ pub fn study_file(request: &Request, tell: &dyn Fn(&str)) -> Result<Findings> {
 /// # Errors
 /// As [`study_file`]; fails where `out` cannot be written.
 pub fn study_into(request: &Request, out: &Path, tell: &dyn Fn(&str)) -> Result<Written> {
-    studied(request, Some(out), tell)
+    study(request, Some(out), tell)
 }
 
-fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> Result<Written> {
+/// As [`study_into`], or with nothing written as [`study_file`].
+///
+/// # Errors
+/// As [`study_into`].
+pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> Result<Written> {
     tell_user("reading");
     let telemetry = request.bench.iter().all(|b| is_recording(b));
     let model = match &request.model {
         None if telemetry => Some(PathBuf::from(REFERENCE)),
         m => m.clone(),
     };
+    if request.verify && model.is_none() {
+        let allowed = "--model: the actuator whose simulator is to run the recorded command";
+        return Err(Error::bad("command line", "--verify", "no --model", allowed).into());
+    }
     let read = |model: &PathBuf| -> Result<(String, String)> {
         let text = if model == Path::new(REFERENCE) {
             ActuatorParameters::reference_text().to_string()
@@ -100,10 +107,6 @@ fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> R
         // say now, not after the study, that the folder cannot be written
         std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
     }
-    if request.verify && actuator.is_none() {
-        let allowed = "--model: the actuator whose simulator is to run the recorded command";
-        return Err(Error::bad("command line", "--verify", "no --model", allowed).into());
-    }
     let mut findings;
     let mut new_text = None;
     if bench.is_comparison() {
@@ -119,7 +122,7 @@ fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> R
         let with_current = bench.rig.drive == ema_study::measured::bench::BenchChannel::Current;
         let known = actuator.as_ref().map(|a| a.effects.clone()).unwrap_or_default();
         let as_read = bench.clone();
-        let outcome = study::study(Material::new(bench, runs, &known), tell_user);
+        let outcome = ema_study::search::study::study(Material::new(bench, runs, &known), tell_user);
         tell_user("intervals and report");
         findings = tell::findings(&outcome, &name);
         if telemetry && request.model.is_none() {
@@ -127,23 +130,25 @@ fn studied(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) -> R
             findings.assumptions.push(text.to_string());
         }
         if let Some(actuator) = actuator.as_ref() {
-            let child = with_what_was_found(&findings, actuator, (&name, &text), with_current, &bench_file, &hashes);
+            let new = with_what_was_found(&findings, actuator, (&name, &text), with_current, &bench_file, &hashes);
             // only what is proven on machines that somebody calls healthy may change what healthy means
             let proven = outcome.material.held.is_some() && findings.health == "healthy";
-            let found = !matches!(outcome.verdict, Verdict::None | Verdict::Unknown | Verdict::Candidate);
+            let settled = !matches!(outcome.verdict, Verdict::None | Verdict::Unknown | Verdict::Candidate);
             if telemetry || request.verify {
                 tell_user("the simulators under the recorded command");
-                let found = child.as_ref().ok().filter(|_| outcome.verdict != Verdict::None);
-                let child = found.map_or_else(|| Ok(actuator.clone()), |t| ActuatorParameters::parse(&name, t))?;
+                let child = match &new {
+                    Ok(text) if outcome.verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
+                    _ => actuator.clone(),
+                };
                 findings.verification = Some(verify::verify(&as_read, actuator, &child)?);
             }
-            match child {
-                Ok(new) if proven && found => {
+            match new {
+                Ok(new) if proven && settled => {
                     findings.diff = persist::diff(&text, &new);
                     new_text = Some(new);
                 }
                 // an actuator may not take all of a rig: a load heavier than its rotor, a delay beside another
-                Err(e) if proven && found => findings.assumptions.push(format!("not written into the model: {e}")),
+                Err(e) if proven && settled => findings.assumptions.push(format!("not written into the model: {e}")),
                 _ => {}
             }
         }

@@ -315,28 +315,20 @@ fn open_csv(path: &Path) -> Result<Measured> {
 
 fn check(path: &Path, m: &Measured) -> Result<()> {
     let file = path.display().to_string();
-    for c in [Channel::Com, Channel::ThetaM, Channel::OmegaM, Channel::IEq] {
-        let Some(values) = m.telemetry.column(c) else {
-            let allowed = format!("a column `{}`", c.name());
-            return Err(Error::bad(file, "columns", "nothing", allowed).into());
-        };
-        if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-            return Err(not_finite(&file, c, i, values[i]));
-        }
+    let needed = [Channel::Com, Channel::ThetaM, Channel::OmegaM, Channel::IEq];
+    if let Some(c) = needed.iter().find(|c| m.telemetry.column(**c).is_none()) {
+        let allowed = format!("a column `{}`", c.name());
+        return Err(Error::bad(file, "columns", "nothing", allowed).into());
     }
-    // the same rule for what else is there
+    // one rule for all that is there
     for &c in Channel::ALL {
         let values = m.telemetry.column(c).unwrap_or_default();
         if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-            return Err(not_finite(&file, c, i, values[i]));
+            let place = format!("row {}, column `{}`", i + 1, c.name());
+            return Err(Error::bad(file, place, values[i], "a finite number").into());
         }
     }
     Ok(())
-}
-
-fn not_finite(file: &str, c: Channel, row: usize, found: f64) -> anyhow::Error {
-    let place = format!("row {}, column `{}`", row + 1, c.name());
-    Error::bad(file, place, found, "a finite number").into()
 }
 
 /// Share of the recording's samples whose command is that of `sequence`, and how many lie within it.

@@ -8,7 +8,7 @@ use crate::fault::FaultState;
 use crate::guard::guarded;
 use crate::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use arrow::array::{Array, ArrayRef, AsArray, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
-use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, UInt64Type};
+use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, SchemaRef, UInt64Type};
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
@@ -377,7 +377,17 @@ impl Iterator for Batches {
 /// # Errors
 /// A file that is not there, is empty, or is not whole.
 pub fn read_batches(path: &Path) -> Result<Vec<RecordBatch>> {
-    Batches::of(path, open(path)?)?.collect()
+    Ok(read_table(path)?.1)
+}
+
+/// The columns of any Parquet file, rows or none, and all its rows.
+///
+/// # Errors
+/// As [`read_batches`].
+pub fn read_table(path: &Path) -> Result<(SchemaRef, Vec<RecordBatch>)> {
+    let builder = open(path)?;
+    let schema = builder.schema().clone();
+    Ok((schema, Batches::of(path, builder)?.collect::<Result<_>>()?))
 }
 
 /// Key-value metadata of a Parquet file.

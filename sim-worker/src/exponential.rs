@@ -6,10 +6,10 @@
 // the digits are those of fdlibm
 #![allow(clippy::excessive_precision)]
 
+use crate::trig::ROUND;
+
 const LN2_HI: f64 = 6.931_471_803_691_238_164_90e-01;
 const LN2_LO: f64 = 1.908_214_929_270_587_700_02e-10;
-/// 1.5 times 2^52: added to a small integer it leaves it in the low bits.
-const ROUND: f64 = 6_755_399_441_055_744.0;
 /// Bits of 1, and of one over the root of 2.
 const ONE: u64 = 0x3ff0_0000_0000_0000;
 const ROOT_HALF: u64 = 0x3fe6_a09e_667f_3bcd;
@@ -30,7 +30,7 @@ pub fn exp(x: f64) -> f64 {
                 + t * (6.613_756_321_437_934_361_17e-05
                     + t * (-1.653_390_220_546_525_153_90e-06 + t * 4.138_136_797_057_238_460_39e-08))));
     let y = 1.0 - ((lo - (r * c) / (2.0 - c)) - hi);
-    // 2^k: the low bits of `whole` are k, and an exponent of k is a sum of bits
+    // 2^k: adding 1.5 times 2^52 leaves k in the low bits of `whole`, and an exponent of k is a sum of bits
     y * f64::from_bits((whole.to_bits() << 52).wrapping_add(ONE))
 }
 

@@ -486,11 +486,13 @@ const GONE: f64 = 1e-100;
 /// loops over lanes: what a lane without effects computes there stays the same to the bit.
 #[inline(never)]
 fn effects_on_angles<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut Handed<N>, fx: &mut LaneEffects<N>) {
-    for l in (0..N).filter(|_| fx.is_electrical()) {
-        let coefficients = [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]];
-        if let Some(error) = fx.electrical(l, k.th0[l] + st.th[l], coefficients) {
-            let r = st.r[l] + error;
-            [on.f0[l], on.f1[l], on.f2[l]] = back_emf::fold(r - 12.0 * trig::nearest(r * (1.0 / 12.0)));
+    if fx.is_electrical() {
+        for l in 0..N {
+            let coefficients = [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]];
+            if let Some(error) = fx.electrical(l, k.th0[l] + st.th[l], coefficients) {
+                let r = st.r[l] + error;
+                [on.f0[l], on.f1[l], on.f2[l]] = back_emf::fold(r - 12.0 * trig::nearest(r * (1.0 / 12.0)));
+            }
         }
     }
     if fx.has_dead_time() {

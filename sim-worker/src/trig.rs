@@ -8,7 +8,7 @@
 #![allow(clippy::excessive_precision)]
 
 /// Adding and subtracting it rounds a value below 2^51 to the nearest integer.
-const ROUND: f64 = 6_755_399_441_055_744.0;
+pub(crate) const ROUND: f64 = 6_755_399_441_055_744.0;
 
 /// Nearest integer (ties to even) for |x| < 2^51, without a library call.
 #[inline(always)]

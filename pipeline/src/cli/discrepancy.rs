@@ -3,7 +3,7 @@
 use super::say;
 use crate::Findings;
 use crate::case::{self, Case};
-use crate::discrepancy::{self, Request, Written, study_file, study_into};
+use crate::discrepancy::{self, Request};
 use crate::progress;
 use anyhow::Result;
 use clap::Args;
@@ -50,29 +50,13 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
         healthy: a.healthy,
         verify: a.verify,
     };
-    let study = match &a.out {
-        Some(out) => study_into(&request, out, &tell)?,
-        None => Written {
-            findings: study_file(&request, &tell)?,
-            model: None,
-            report: None,
-        },
-    };
+    let study = discrepancy::study(&request, a.out.as_deref(), &tell)?;
     bar.finish_and_clear();
     let mut cases = Vec::new();
     for test in &a.diagnose {
         let case = discrepancy::diagnose(&study, test)?;
         cases.extend(case.map(|c| (test, c)));
     }
-    let written = || {
-        let report = study.report.as_ref()?;
-        let files = [
-            Some(report.clone()),
-            Some(report.with_extension("json")),
-            study.model.clone(),
-        ];
-        Some(files.into_iter().flatten())
-    };
     if a.json {
         let mut json = study.findings.to_json();
         if !a.diagnose.is_empty() {
@@ -86,7 +70,8 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
         say(&serde_json::to_string_pretty(&json)?);
     } else {
         say(&to_text(&study.findings));
-        for path in written().into_iter().flatten() {
+        let json = study.report.as_ref().map(|r| r.with_extension("json"));
+        for path in [study.report, json, study.model].into_iter().flatten() {
             say(&format!("written: {}", path.display()));
         }
         for (test, c) in &cases {

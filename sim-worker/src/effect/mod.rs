@@ -21,8 +21,8 @@ pub use inject::{Felt, Injection, LaneEffects};
 pub use kind::{EffectKind, Equation, ParameterKey};
 pub use state::{Dahl, DelayLine, Play, TwoMass};
 
-/// Standard deviations from the middle of a normal distribution to the end of its central 95 %.
-const NORMAL_95: f64 = 1.959_964;
+/// Standard deviations from the middle to either end of the intervals of identified values: 95 % of a normal distribution.
+pub const NORMAL_95: f64 = 1.96;
 
 /// An entry of an effect's provenance.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,6 +6,11 @@ use crate::measured::recording::extent;
 use sim_worker::effect::EffectKind;
 use std::f64::consts::TAU;
 
+/// Whether what it adds repeats with the rotor's angle in an order of the turn that is looked for.
+pub fn has_order(kind: EffectKind) -> bool {
+    kind.keys().iter().any(|k| k.name == "order")
+}
+
 /// Shapes to start from for a kind, over the range of the signals of the fit runs.
 pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
     let all = |f: fn(&Signals) -> &Vec<f64>| runs.iter().flat_map(move |r| f(r).iter().copied());

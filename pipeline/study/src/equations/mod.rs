@@ -3,5 +3,6 @@ pub mod mechanics;
 pub mod nuisances;
 pub mod pieces;
 pub mod problem;
+mod residuals;
 pub mod signals;
 pub mod whitener;

@@ -50,9 +50,9 @@ pub struct Problem {
     /// same without what the model is known not to have: the sensors' alone
     pub sensor_floor: [f64; 5],
     /// noise of the torque in the filter, rms [N m], and its share of the variance of a row
-    torque_noise: (f64, f64),
+    pub(super) torque_noise: (f64, f64),
     /// torque that the model is known not to have, rms [N m]
-    excess: f64,
+    pub(super) excess: f64,
     /// rows that would be as good if their noise were independent, as a share, by equation
     pub independent: [f64; 5],
     /// share of a row's variance that the noise of the drive's sensor makes: it stands in regressors too
@@ -65,7 +65,7 @@ pub struct Problem {
     /// of the supply's rows, so that their noise is that of the phases'
     supply_scale: f64,
     /// samples of a row of the electrical equation
-    window: usize,
+    pub(super) window: usize,
 }
 
 /// What a supply's voltage does by itself over a row [V] (assumed).
@@ -520,18 +520,6 @@ impl Problem {
         self.sensor_floor[i] = self.sensor_floor[i].max(rms);
     }
 
-    /// Noise of an equation's rows by the differences of those that follow each other.
-    pub fn by_differences(&self, residual: &[f64], e: Equation) -> f64 {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for b in self.blocks.iter().filter(|b| b.equation == e) {
-            for x in residual[b.rows.clone()].windows(2) {
-                sum += 0.5 * (x[1] - x[0]).powi(2);
-                count += 1.0;
-            }
-        }
-        if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
-    }
-
     /// Covariance of a nuisance's column with the left-hand side that noise alone makes, a row of an equation.
     pub fn shared_noise(&self, name: &str, e: usize) -> f64 {
         let torque = self.regressor_noise[e] * self.floor[e].powi(2);
@@ -541,49 +529,6 @@ impl Problem {
             ("resistance", Equation::Electrical) => -self.current_noise.0,
             ("inductance", Equation::Electrical) => -self.current_noise.1,
             _ => 0.0,
-        }
-    }
-
-    /// Rows in a second of an equation.
-    pub fn row_rate_hz(&self, e: Equation) -> f64 {
-        match e {
-            Equation::Torque | Equation::Kinematic => self.clock.rate_hz / self.group() as f64,
-            Equation::Electrical => self.clock.rate_hz / self.window as f64,
-            _ => self.clock.rate_hz / self.clock.stride as f64,
-        }
-    }
-
-    /// Energy over that of the sensors' noise, a row, of what is left in means over `seconds`: slow torques stay,
-    /// what a sensor's grain makes at a steady speed does not.
-    pub fn slow_energy(&self, residual: &[f64], e: Equation, seconds: f64) -> f64 {
-        let m = ((seconds * self.row_rate_hz(e)) as usize).max(1);
-        let (mut sum, mut count) = (0.0, 0.0);
-        for b in self.blocks.iter().filter(|b| b.equation == e) {
-            for rows in residual[b.rows.clone()].chunks_exact(m) {
-                sum += rows.iter().sum::<f64>().powi(2) / m as f64;
-                count += 1.0;
-            }
-        }
-        let floor = self.sensor_floor[e.index()].powi(2);
-        if count > 0.0 { sum / count / floor } else { 0.0 }
-    }
-
-    /// As [`Problem::slow_energy`], of half the squared difference of neighbouring means, but not below the sensors': what
-    /// noise of any colour makes that is shorter than `seconds`, and of slow torques next to nothing.
-    pub fn unrest(&self, residual: &[f64], e: Equation, seconds: f64) -> f64 {
-        let m = ((seconds * self.row_rate_hz(e)) as usize).max(1);
-        let (mut sum, mut count) = (0.0, 0.0);
-        for b in self.blocks.iter().filter(|b| b.equation == e) {
-            let mean = |rows: &[f64]| rows.iter().sum::<f64>() / (m as f64).sqrt();
-            let means: Vec<f64> = residual[b.rows.clone()].chunks_exact(m).map(mean).collect();
-            sum += means.windows(2).map(|w| 0.5 * (w[1] - w[0]).powi(2)).sum::<f64>();
-            count += means.len().saturating_sub(1) as f64;
-        }
-        let floor = self.sensor_floor[e.index()].powi(2);
-        if count > 0.0 {
-            (sum / count / floor).max(1.0)
-        } else {
-            1.0
         }
     }
 
@@ -605,11 +550,6 @@ impl Problem {
         extent(self.signals.iter().flat_map(|s| &s.theta).copied())
     }
 
-    /// rms of the rows of an equation whose energy is given.
-    pub fn rms(&self, e: Equation, energy: &[f64; 5]) -> f64 {
-        (energy[e.index()] / self.rows_of(e).max(1) as f64).sqrt()
-    }
-
     /// Rows of an equation.
     pub fn rows_of(&self, e: Equation) -> usize {
         self.blocks
@@ -617,17 +557,6 @@ impl Problem {
             .filter(|b| b.equation == e)
             .map(|b| b.rows.len())
             .sum()
-    }
-
-    /// Noise of the torque beyond what the sensors are said to have, rms [N m], by the differences of rows.
-    pub fn unresolved(&self, residual: &[f64]) -> f64 {
-        let (noise, share) = self.torque_noise;
-        let seen = self.by_differences(residual, Equation::Torque) / self.floor[Equation::Torque.index()].max(1e-300);
-        if share > 0.0 && seen * seen > 1.05 {
-            ((seen * seen - 1.0) / share).sqrt() * noise
-        } else {
-            0.0
-        }
     }
 
     /// Samples in a row of the torque equation.
@@ -640,29 +569,6 @@ impl Problem {
         self.sensor_floor[e.index()]
     }
 
-    /// Energy of the sensors' noise in the rows of an equation.
-    pub fn sensor_energy(&self, e: usize) -> f64 {
-        self.rows_of(Equation::ALL[e]) as f64 * self.sensor_floor[e].powi(2)
-    }
-
-    /// Torque that the model does not have, rms [N m], by the energy that it leaves: with it, the rows are as
-    /// large as the filter expects.
-    pub fn excess_left(&self, energy: &[f64; 5]) -> f64 {
-        let n = self.rows_of(Equation::Torque) as f64;
-        let (noise, share) = self.torque_noise;
-        if n == 0.0 || share <= 0.0 {
-            return 0.0;
-        }
-        let over = energy[Equation::Torque.index()] / (n * self.floor[Equation::Torque.index()].powi(2)) - 1.0;
-        let left = self.excess.powi(2) + over / share * noise * noise;
-        // what is within the statistics of the noise is none
-        if left < 0.1 * noise * noise && over < 0.05 {
-            0.0
-        } else {
-            left.max(0.0).sqrt()
-        }
-    }
-
     /// One over the floor of each row's equation.
     pub fn weights(&self, sigma: &[f64; 5]) -> Vec<f64> {
         let mut w = vec![0.0; self.rows];
@@ -670,15 +576,6 @@ impl Problem {
             w[b.rows.clone()].fill(1.0 / sigma[b.equation.index()]);
         }
         w
-    }
-
-    /// Sum of squares of a vector of rows, by equation.
-    pub fn energy(&self, r: &[f64]) -> [f64; 5] {
-        let mut out = [0.0; 5];
-        for b in &self.blocks {
-            out[b.equation.index()] += r[b.rows.clone()].iter().map(|x| x * x).sum::<f64>();
-        }
-        out
     }
 }
 

@@ -241,6 +241,14 @@ pub(crate) fn split(table: &Table, spec: &RunSpec) -> Result<Vec<(Labels, Vec<us
     Ok(groups)
 }
 
+/// A channel in the rows of a run, less the column that is to be taken off, SI at the motor.
+pub(crate) fn in_si(table: &Table, c: &ChannelSpec, rows: &[usize]) -> Result<Vec<f64>> {
+    let x = table.numbers(&c.column)?;
+    let minus = c.minus.as_ref().map(|m| table.numbers(m)).transpose()?;
+    let value = |&r: &usize| (x[r] - minus.map_or(0.0, |m| m[r])) * c.factor;
+    Ok(rows.iter().map(value).collect())
+}
+
 /// * `usual` step of the runs before, which this one shares if it is nearly so [s]
 fn run(
     bench: &Bench,
@@ -330,13 +338,11 @@ fn run(
         if c.channel == BenchChannel::Time || made {
             continue;
         }
-        let column = table.numbers(&c.column)?;
-        let minus = c.minus.as_ref().map(|m| table.numbers(m)).transpose()?;
-        let value = |r: usize| column[r] - minus.map_or(0.0, |m| m[r]);
-        let x: Vec<f64> = rows.iter().map(|&r| value(r) * c.factor).collect();
+        let x = in_si(table, c, &rows)?;
         if let Some(k) = x.iter().position(|x| !x.is_finite()) {
             let place = format!("column `{}`, row {}", c.column, rows[k] + 1);
-            return Err(bad(place, column[rows[k]].to_string(), "a finite number"));
+            let found = table.numbers(&c.column)?[rows[k]];
+            return Err(bad(place, found.to_string(), "a finite number"));
         }
         let x = match (even, c.mean) {
             (true, _) => x,

@@ -9,12 +9,10 @@ use crate::search::fit::{self, Fit, Term};
 use crate::search::select::Material;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
-use sim_worker::effect::{Effect, EffectKind};
+use sim_worker::effect::{Effect, EffectKind, NORMAL_95};
 
 /// Length of a block [s] (assumed: longer than any memory of residuals seen).
 const BLOCK_S: f64 = 0.5;
-/// Two-sided 95 % of a normal distribution.
-pub const NORMAL_95: f64 = 1.96;
 /// Share of the priors' width that enters.
 const BELIEF: f64 = 1.0;
 /// Runs from which their scatter counts, and most that the blocks' scatter may be over that of white noise (assumed).

@@ -2,6 +2,7 @@ pub mod closed_loop;
 pub mod excitation;
 pub mod fit;
 pub mod intervals;
+pub mod judge;
 pub mod remainder;
 pub mod scan;
 pub mod select;

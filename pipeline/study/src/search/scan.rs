@@ -270,9 +270,7 @@ impl<'a> Scan<'a> {
                 .iter()
                 .map(|&i| match (kind, scales[i]) {
                     (EffectKind::TightSpot, Some(false)) => 0.5 * shape[1],
-                    (EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple, _) => {
-                        self.order_step()
-                    }
+                    (k, _) if shapes::has_order(k) => self.order_step(),
                     (EffectKind::Stribeck, Some(false)) => 0.3,
                     (EffectKind::Backlash, Some(false)) => 0.3 * shape[i].max(1e3),
                     (_, Some(true)) => 0.35,
@@ -308,9 +306,7 @@ impl<'a> Scan<'a> {
         let (low, high) = self.problem.travel();
         match kind {
             EffectKind::TightSpot => shape[0] - 2.0 * shape[1] > low && shape[0] + 2.0 * shape[1] < high,
-            EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
-                shape[0] * (high - low) > LEAST_PERIODS * std::f64::consts::TAU
-            }
+            k if shapes::has_order(k) => shape[0] * (high - low) > LEAST_PERIODS * std::f64::consts::TAU,
             _ => true,
         }
     }

@@ -2,6 +2,7 @@
 //! while data that were not used to find them get better.
 
 use crate::candidates::columns;
+use crate::candidates::shapes;
 use crate::equations::nuisances::{self, Nuisance};
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::{self, Problem};
@@ -406,11 +407,7 @@ fn begin(bench: &mut Bench, runs: &[Run]) {
 
 /// An order within a fiftieth of a whole one is that: teeth, slots and poles come in whole numbers.
 fn whole(mut t: Term) -> Term {
-    let periodic = matches!(
-        t.kind,
-        EffectKind::Cogging | EffectKind::PeriodicFriction | EffectKind::TorqueRipple
-    );
-    if periodic && t.shape[0] >= 1.0 && (t.shape[0] - t.shape[0].round()).abs() < 0.02 {
+    if shapes::has_order(t.kind) && t.shape[0] >= 1.0 && (t.shape[0] - t.shape[0].round()).abs() < 0.02 {
         t.shape[0] = t.shape[0].round();
     }
     t
@@ -418,10 +415,7 @@ fn whole(mut t: Term) -> Term {
 
 /// Kinds that an actuator may have more than once: several orders, several places.
 fn takes_several(kind: EffectKind) -> bool {
-    matches!(
-        kind,
-        EffectKind::Cogging | EffectKind::PeriodicFriction | EffectKind::TorqueRipple | EffectKind::TightSpot
-    )
+    shapes::has_order(kind) || kind == EffectKind::TightSpot
 }
 
 /// Mains hum that stands out of the residual of an equation.

@@ -5,25 +5,15 @@ use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
+use crate::search::judge::{LEAST_GAIN, Step, TWICE, judged};
 use crate::search::remainder;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
-use crate::search::verdict::{SLOW_S, SLOWLY, Verdict, WORTH, conclude, rough_energy};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use crate::search::verdict::{Verdict, WORTH, conclude};
 use sim_worker::effect::{EffectKind, Equation};
 
 /// Most effects that one study adds.
 pub const MOST_EFFECTS: usize = 4;
-/// Smallest gain in log-likelihood of an effect, after what its parameters cost: about one false alarm in a
-/// thousand studies over the whole list if residuals were as the noise says (assumed; the benchmark holds the
-/// true rate).
-const LEAST_GAIN: f64 = 12.0;
-/// Smallest share of the excess over the noise of some equation that an effect must explain: one that explains
-/// less is the nearest relative of something else (assumed).
-const LEAST_PART: f64 = 0.30;
-/// Torque of an effect over the drive's, both rms, from which it matters (assumed).
-const LEAST_TORQUE: f64 = 2e-3;
 /// Gain of a candidate that is worth a look at pairs although it is refused alone.
 const PAIR_GAIN: f64 = 60.0;
 /// Torque over the rms of the fit runs beyond which held-out data are beyond what was excited.
@@ -34,33 +24,9 @@ const VAGUE: f64 = 0.7;
 const CERTAIN: f64 = 60.0;
 /// Candidates that a second one is tried with.
 const PAIRS: usize = 4;
-/// Length of the blocks of the bootstrap [s].
-const BLOCK_S: f64 = 0.4;
-const DRAWS: usize = 400;
-/// Parts of the fit runs, each judged by what the others say.
-const FOLDS: usize = 5;
 /// Log-likelihood by which a rival must fall behind, and share of the gain where the best leaves a gap (assumed).
 const RIVAL: f64 = 5.0;
 const RIVAL_SHARE: f64 = 0.02;
-/// A block of held-out data whose gap stays beyond this energy, whatever the model, was disturbed (assumed).
-const DISTURBED: f64 = 6.0;
-/// Length of the pieces in which a disturbance shows by itself [s] (assumed).
-const DISTURBED_S: f64 = 0.05;
-
-/// One accepted or refused effect.
-#[derive(Clone, Debug)]
-pub struct Step {
-    /// candidates, the best first
-    pub ranked: Vec<Ranked>,
-    /// energies by equation on the fit runs, before and after
-    pub before: [f64; 5],
-    pub after: [f64; 5],
-    pub accepted: bool,
-    /// what was added: one effect, or two that only go together
-    pub taken: Vec<EffectKind>,
-    pub why_not: &'static str,
-}
-
 /// An effect, and the rms of its equation's rows on the held-out runs without it and with all.
 pub type Proof = (EffectKind, f64, f64);
 
@@ -95,64 +61,6 @@ pub struct Outcome {
 }
 
 impl Material {
-    /// Gain of one model over another, by their residuals, that holds in 97.5 % of draws of blocks of time.
-    /// Blocks that are disturbed whatever the model do not count, as long as they are the fewer.
-    fn lasting_gain(&self, p: &Problem, before: &[f64], after: &[f64], sigma: &[f64; 5]) -> f64 {
-        let length = self.clock.block(BLOCK_S);
-        let mut blocks: std::collections::BTreeMap<(usize, usize), [f64; 4]> = Default::default();
-        for b in &p.blocks {
-            let e = b.equation.index();
-            for (row, &k) in b.rows.clone().zip(&b.samples) {
-                let (x, y) = (before[row].powi(2), after[row].powi(2));
-                let sum = blocks.entry((b.run, k / length)).or_default();
-                sum[0] += (x - y) / sigma[e].powi(2);
-                sum[1] += 1.0;
-                sum[2] += x / p.sensor_floor[e].powi(2);
-                sum[3] += y / p.sensor_floor[e].powi(2);
-            }
-        }
-        let disturbed = |b: &[f64; 4]| b[3] > DISTURBED * b[1] && (b[2] - b[3]).abs() < 0.1 * b[2];
-        let quiet: Vec<f64> = blocks.values().filter(|b| !disturbed(b)).map(|b| b[0]).collect();
-        let values: Vec<f64> = if 2 * quiet.len() >= blocks.len() {
-            quiet
-        } else {
-            blocks.values().map(|b| b[0]).collect()
-        };
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let mut draws: Vec<f64> = (0..DRAWS)
-            .map(|_| {
-                (0..values.len())
-                    .map(|_| values[rng.random_range(0..values.len())])
-                    .sum()
-            })
-            .collect();
-        draws.sort_by(f64::total_cmp);
-        draws[DRAWS / 40]
-    }
-
-    /// By equation, the excess energy of the fit runs' blocks that are far beyond the noise and that a model leaves as
-    /// they were.
-    fn disturbed_energy(&self, before: &[f64], after: &[f64]) -> [f64; 5] {
-        let p = &self.fit;
-        let length = self.clock.block(DISTURBED_S);
-        let mut blocks: std::collections::BTreeMap<(usize, usize, usize), [f64; 3]> = Default::default();
-        for b in &p.blocks {
-            for (row, &k) in b.rows.clone().zip(&b.samples) {
-                let sum = blocks.entry((b.equation.index(), b.run, k / length)).or_default();
-                sum[0] += before[row].powi(2);
-                sum[1] += after[row].powi(2);
-                sum[2] += p.sensor_floor[b.equation.index()].powi(2);
-            }
-        }
-        let mut out = [0.0; 5];
-        for ((e, _, _), [before, after, floor]) in blocks {
-            if after > DISTURBED * floor && (before - after).abs() < 0.1 * before {
-                out[e] += before - floor;
-            }
-        }
-        out
-    }
-
     /// A model without one of its terms, constants and amplitudes solved again.
     fn without(&self, model: &Fit, term: usize) -> Fit {
         let mut terms = model.terms.clone();
@@ -163,19 +71,6 @@ impl Material {
     /// As [`Material::without`], the other shapes refined again.
     fn dropped(&self, model: &Fit, term: usize) -> Fit {
         self.polish(&self.without(model, term), 1)
-    }
-
-    /// Residual of a model on the fit runs, each fold of blocks by the constants and amplitudes that the other
-    /// folds say.
-    fn crossed(&self, fit: &Fit) -> Vec<f64> {
-        let length = self.clock.block(BLOCK_S);
-        let mut fold = vec![0; self.fit.rows];
-        for b in &self.fit.blocks {
-            for (row, &k) in b.rows.clone().zip(&b.samples) {
-                fold[row] = (k / length + b.run) % FOLDS;
-            }
-        }
-        fit::crossed(&self.fit, &self.constants, &self.nuisances, fit, &fold, FOLDS)
     }
 
     /// Residual of a model on the held-out runs (on the fit runs where there are none).
@@ -493,147 +388,4 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
         }
     }
     Some((out?, tried[0].0.clone(), Vec::new()))
-}
-
-/// Whether data that did not fix its amplitudes get better, on the fit runs alone.
-///
-/// * `before` residual of the model, crossed
-fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &[Ranked], before: &[f64]) -> Step {
-    let lasts = || m.lasting_gain(&m.fit, before, &m.crossed(next), &next.sigma) > 0.0;
-    // a mass, a friction below zero is no machine; the first nominal value is what the prior's middle says
-    let below = |n: &Nuisance, x: f64| {
-        matches!(
-            n.name,
-            "inertia" | "viscous" | "coulomb" | "torque_constant" | "resistance"
-        ) && 1.0 + x <= 0.02 * (1.0 + n.centre)
-            || n.name == "play" && x < -1.1
-    };
-    // what is believed of a constant is not given up for an effect
-    let strained = |n: &Nuisance, x: f64| {
-        let counts = matches!(n.name, "inertia" | "torque_constant" | "resistance");
-        let was = m
-            .nuisances
-            .iter()
-            .zip(&model.nuisance)
-            .find(|(b, _)| b.name == n.name)
-            .map_or(0.0, |(_, x)| *x);
-        let more = |t: f64| (x - n.centre).abs() > (was - n.centre).abs() + t;
-        counts
-            && n.trust
-                .is_some_and(|t| t > 0.0 && (x - n.centre).abs() > 0.999 * fit::MOST_BELIEF * t && more(t))
-    };
-    let any = |f: &dyn Fn(&Nuisance, f64) -> bool| m.nuisances.iter().zip(&next.nuisance).any(|(n, x)| f(n, *x));
-    // a load that comes loose takes its part of friction and drag with it
-    let loose = next
-        .terms
-        .iter()
-        .any(|t| matches!(t.kind, EffectKind::Backlash | EffectKind::Compliance));
-    let signs = next.terms.iter().all(|t| scan::admissible(t.kind, &t.amplitudes));
-    let why_not = if !signs {
-        "its sign is not physical"
-    } else if !loose && any(&below) {
-        "a constant of the machine would have to be negative"
-    } else if any(&strained) {
-        "a constant would have to be other than it is believed to be"
-    } else if gain < LEAST_GAIN {
-        "no more than chance gives"
-    } else if small(m, model, next) {
-        "too small to matter"
-    } else if twice(m, model, next) {
-        TWICE
-    } else if part(m, model, next) < LEAST_PART {
-        "it explains little of what is left"
-    } else if !lasts() {
-        "data that did not fix its amplitudes do not get better"
-    } else {
-        ""
-    };
-    Step {
-        before: model.score.energy,
-        after: next.score.energy,
-        accepted: why_not.is_empty(),
-        taken: next.terms[model.terms.len()..].iter().map(|t| t.kind).collect(),
-        why_not,
-        ranked: ranked.to_vec(),
-    }
-}
-
-const TWICE: &str = "another of its kind is there already, of a shape that the list does not have";
-
-/// Whether a new term repeats one of its kind that is in the model: a spot within the other's width, a line of the angle's
-/// spectrum that the travel cannot tell from the other.
-fn twice(m: &Material, model: &Fit, next: &Fit) -> bool {
-    let (low, high) = m.fit.travel();
-    let turns = (high - low) / std::f64::consts::TAU;
-    let same = |a: &Term, b: &Term| {
-        a.kind == b.kind
-            && match a.kind {
-                EffectKind::TightSpot => (a.shape[0] - b.shape[0]).abs() < a.shape[1] + b.shape[1],
-                EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
-                    (a.shape[0] - b.shape[0]).abs() * turns < 1.0
-                }
-                _ => false,
-            }
-    };
-    let n = model.terms.len();
-    (n..next.terms.len()).any(|i| (0..i).any(|j| same(&next.terms[i], &next.terms[j])))
-}
-
-/// Whether all that the new terms add to the torque is next to nothing beside the drive's, and to no other equation
-/// anything.
-fn small(m: &Material, model: &Fit, next: &Fit) -> bool {
-    let p = &m.fit;
-    let (mut all, mut touched) = (vec![0.0; p.rows], false);
-    for t in &next.terms[model.terms.len()..] {
-        let c = intervals::contribution(p, m, t);
-        all.iter_mut().zip(&c).for_each(|(a, c)| *a += c);
-        touched |= !matches!(t.kind.equation(), Equation::Torque);
-    }
-    let e = Equation::Torque.index();
-    !touched && p.energy(&all)[e] < LEAST_TORQUE.powi(2) * p.energy(&p.drive)[e]
-}
-
-/// Greatest share of the excess over the noise that any equation loses on the fit runs, but for what is disturbed and
-/// stays so: that is another story.
-fn part(m: &Material, model: &Fit, next: &Fit) -> f64 {
-    let (before, after) = (model.score.energy, next.score.energy);
-    let disturbed = m.disturbed_energy(&model.residual, &next.residual);
-    let of = |e: usize| {
-        let excess = before[e] - noise_energy(m, next, e) - disturbed[e];
-        if excess > 0.0 {
-            (before[e] - after[e]) / excess
-        } else {
-            0.0
-        }
-    };
-    (0..5)
-        .map(|e| of(e).max(slow_part(m, model, next, Equation::ALL[e])))
-        .fold(0.0, f64::max)
-}
-
-/// As [`part`], of what lasts: means over some time, whose noise is that from one mean to the next. What is slow and small
-/// is nothing beside the noise of single rows.
-fn slow_part(m: &Material, model: &Fit, next: &Fit, e: Equation) -> f64 {
-    if m.fit.rows_of(e) == 0 || e == Equation::Controller {
-        return 0.0;
-    }
-    let of = |seconds: f64| {
-        let noise = m.fit.unrest(&next.residual, e, seconds);
-        let before = m.fit.slow_energy(&model.residual, e, seconds);
-        if before < SLOWLY * noise {
-            return 0.0;
-        }
-        (before - m.fit.slow_energy(&next.residual, e, seconds)) / (before - noise)
-    };
-    of(SLOW_S).min(of(2.0 * SLOW_S))
-}
-
-/// Energy of an equation's noise: the sensors' as they are said to be, or what the model leaves from row to row where
-/// that is more, but not much.
-fn noise_energy(m: &Material, model: &Fit, e: usize) -> f64 {
-    // the controller's own equation has no floor that is known
-    if Equation::ALL[e] == Equation::Controller {
-        return 0.0;
-    }
-    rough_energy(&m.fit, &model.residual, e)
 }

@@ -1,10 +1,9 @@
 //! The effect enters the actuator's file: constants and `[[effect]]` tables with intervals and
 //! provenance. What a study did not touch stays as it was, comments too.
 
-use crate::search::intervals::NORMAL_95;
 use crate::told::findings::{FoundEffect, Identified};
 use schemas::error::{Error, Result};
-use sim_worker::effect::{Effect, EffectKind, Note};
+use sim_worker::effect::{Effect, EffectKind, NORMAL_95, Note};
 use sim_worker::parameters::{ActuatorParameters, Uncertainty};
 
 /// Relative standard deviation that no constant is known better than (assumed): the equations are not the machine.

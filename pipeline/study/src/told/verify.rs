@@ -2,7 +2,7 @@
 //! parameters as they were (parent) and with what a study found (child), beside what was measured.
 
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role, RunSpec};
-use crate::measured::recording::split;
+use crate::measured::recording::{in_si, split};
 use crate::measured::table::Table;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::Result;
@@ -36,9 +36,9 @@ pub struct VerifiedChannel {
     pub unit: String,
     /// samples that were compared
     pub samples: usize,
-    /// of the test bench with the parameters as they were, and with what was found
+    /// of the test bench with the parameters as they were
     pub parent: f64,
-    /// with what was found
+    /// of the test bench with what was found
     pub child: f64,
     /// of the simplified model with both, where it has the channel
     pub simplified: Option<(f64, f64)>,
@@ -169,9 +169,9 @@ pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParame
                 sum.parent += (x[k] - a[k]).powi(2);
                 sum.child += (x[k] - b[k]).powi(2);
                 if let Some((a, b)) = simple {
-                    sum.simplified.0 += (x[k] - a[k]).powi(2);
-                    sum.simplified.1 += (x[k] - b[k]).powi(2);
-                    sum.has_simplified = true;
+                    let both = sum.simplified.get_or_insert_default();
+                    both.0 += (x[k] - a[k]).powi(2);
+                    both.1 += (x[k] - b[k]).powi(2);
                 }
             }
             if matches!(channel, BenchChannel::Current | BenchChannel::Velocity) {
@@ -188,9 +188,7 @@ pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParame
             samples: s.samples,
             parent: root(s.parent, s.samples),
             child: root(s.child, s.samples),
-            simplified: s
-                .has_simplified
-                .then(|| (root(s.simplified.0, s.samples), root(s.simplified.1, s.samples))),
+            simplified: s.simplified.map(|(a, b)| (root(a, s.samples), root(b, s.samples))),
         })
         .collect();
     // of each channel the stretch in which the parent is furthest off
@@ -206,8 +204,8 @@ struct Sums {
     samples: usize,
     parent: f64,
     child: f64,
-    simplified: (f64, f64),
-    has_simplified: bool,
+    /// of models that have the channel
+    simplified: Option<(f64, f64)>,
 }
 
 /// A recording that begins at rest under a command; else why it cannot be simulated.
@@ -225,14 +223,7 @@ fn recorded(
         return Ok(Err("several runs in one file".into()));
     }
     let rows = split(table, spec)?.swap_remove(0).1;
-    let column = |c: &ChannelSpec| -> Result<Vec<f64>> {
-        let x = table.numbers(&c.column)?;
-        let minus = c.minus.as_ref().map(|m| table.numbers(m)).transpose()?;
-        Ok(rows
-            .iter()
-            .map(|&r| (x[r] - minus.map_or(0.0, |m| m[r])) * c.factor)
-            .collect())
-    };
+    let column = |c: &ChannelSpec| in_si(table, c, &rows);
     let time = bench.channel(BenchChannel::Time);
     let time_s = time.map(column).transpose()?.unwrap_or_default();
     if time_s.len() < 64 {

@@ -1,0 +1,108 @@
+//! What a residual's rows come to: energies, beside those of the noise, from row to row and in means over some time.
+
+use crate::equations::problem::Problem;
+use sim_worker::effect::Equation;
+
+impl Problem {
+    /// Noise of an equation's rows by the differences of those that follow each other.
+    pub fn by_differences(&self, residual: &[f64], e: Equation) -> f64 {
+        self.between(residual, e, 0.0).map_or(0.0, f64::sqrt)
+    }
+
+    /// Rows in a second of an equation.
+    pub fn row_rate_hz(&self, e: Equation) -> f64 {
+        match e {
+            Equation::Torque | Equation::Kinematic => self.clock.rate_hz / self.group() as f64,
+            Equation::Electrical => self.clock.rate_hz / self.window as f64,
+            _ => self.clock.rate_hz / self.clock.stride as f64,
+        }
+    }
+
+    /// Means of the residual over `seconds`, block after block, times the root of their rows: of white noise as great as
+    /// a row.
+    fn block_means(&self, residual: &[f64], e: Equation, seconds: f64) -> impl Iterator<Item = Vec<f64>> {
+        let m = ((seconds * self.row_rate_hz(e)) as usize).max(1);
+        let mean = move |rows: &[f64]| rows.iter().sum::<f64>() / (m as f64).sqrt();
+        let blocks = self.blocks.iter().filter(move |b| b.equation == e);
+        blocks.map(move |b| residual[b.rows.clone()].chunks_exact(m).map(mean).collect())
+    }
+
+    /// Energy over that of the sensors' noise, a row, of what is left in means over `seconds`: slow torques stay,
+    /// what a sensor's grain makes at a steady speed does not.
+    pub fn slow_energy(&self, residual: &[f64], e: Equation, seconds: f64) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for means in self.block_means(residual, e, seconds) {
+            sum += means.iter().map(|x| x * x).sum::<f64>();
+            count += means.len() as f64;
+        }
+        let floor = self.sensor_floor[e.index()].powi(2);
+        if count > 0.0 { sum / count / floor } else { 0.0 }
+    }
+
+    /// As [`Problem::slow_energy`], of half the squared difference of neighbouring means, but not below the sensors': what
+    /// noise of any colour makes that is shorter than `seconds`, and of slow torques next to nothing.
+    pub fn unrest(&self, residual: &[f64], e: Equation, seconds: f64) -> f64 {
+        let floor = self.sensor_floor[e.index()].powi(2);
+        self.between(residual, e, seconds).map_or(1.0, |x| (x / floor).max(1.0))
+    }
+
+    /// Mean of half the squared difference of neighbouring means over `seconds`; of rows for 0. `None` without any.
+    fn between(&self, residual: &[f64], e: Equation, seconds: f64) -> Option<f64> {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for means in self.block_means(residual, e, seconds) {
+            for w in means.windows(2) {
+                sum += 0.5 * (w[1] - w[0]).powi(2);
+                count += 1.0;
+            }
+        }
+        (count > 0.0).then(|| sum / count)
+    }
+
+    /// Noise of the torque beyond what the sensors are said to have, rms [N m], by the differences of rows.
+    pub fn unresolved(&self, residual: &[f64]) -> f64 {
+        let (noise, share) = self.torque_noise;
+        let seen = self.by_differences(residual, Equation::Torque) / self.floor[Equation::Torque.index()].max(1e-300);
+        if share > 0.0 && seen * seen > 1.05 {
+            ((seen * seen - 1.0) / share).sqrt() * noise
+        } else {
+            0.0
+        }
+    }
+
+    /// rms of the rows of an equation whose energy is given.
+    pub fn rms(&self, e: Equation, energy: &[f64; 5]) -> f64 {
+        (energy[e.index()] / self.rows_of(e).max(1) as f64).sqrt()
+    }
+
+    /// Energy of the sensors' noise in the rows of an equation.
+    pub fn sensor_energy(&self, e: usize) -> f64 {
+        self.rows_of(Equation::ALL[e]) as f64 * self.sensor_floor[e].powi(2)
+    }
+
+    /// Torque that the model does not have, rms [N m], by the energy that it leaves: with it, the rows are as
+    /// large as the filter expects.
+    pub fn excess_left(&self, energy: &[f64; 5]) -> f64 {
+        let n = self.rows_of(Equation::Torque) as f64;
+        let (noise, share) = self.torque_noise;
+        if n == 0.0 || share <= 0.0 {
+            return 0.0;
+        }
+        let over = energy[Equation::Torque.index()] / (n * self.floor[Equation::Torque.index()].powi(2)) - 1.0;
+        let left = self.excess.powi(2) + over / share * noise * noise;
+        // what is within the statistics of the noise is none
+        if left < 0.1 * noise * noise && over < 0.05 {
+            0.0
+        } else {
+            left.max(0.0).sqrt()
+        }
+    }
+
+    /// Sum of squares of a vector of rows, by equation.
+    pub fn energy(&self, r: &[f64]) -> [f64; 5] {
+        let mut out = [0.0; 5];
+        for b in &self.blocks {
+            out[b.equation.index()] += r[b.rows.clone()].iter().map(|x| x * x).sum::<f64>();
+        }
+        out
+    }
+}
