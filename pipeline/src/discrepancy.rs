@@ -1,6 +1,7 @@
 //! A study from files to files.
 
 use crate::case::{self, Case, Settings};
+use crate::interruptible::interruptible;
 use crate::report_pages::discrepancy as page;
 use anyhow::Result;
 use ema_study::measured::bench::{Bench, is_recording};
@@ -122,7 +123,9 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         let with_current = bench.rig.drive == ema_study::measured::bench::BenchChannel::Current;
         let known = actuator.as_ref().map(|a| a.effects.clone()).unwrap_or_default();
         let as_read = bench.clone();
-        let outcome = ema_study::search::study::study(Material::new(bench, runs, &known), tell_user);
+        let search =
+            move |tell: &dyn Fn(&str)| ema_study::search::study::study(Material::new(bench, runs, &known), tell);
+        let outcome = interruptible(tell_user, search)?;
         tell_user("intervals and report");
         findings = tell::findings(&outcome, &name);
         if telemetry && request.model.is_none() {
@@ -140,7 +143,9 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                     Ok(text) if outcome.verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
                     _ => actuator.clone(),
                 };
-                findings.verification = Some(verify::verify(&as_read, actuator, &child)?);
+                let parent = actuator.clone();
+                let verified = interruptible(tell_user, move |_| verify::verify(&as_read, &parent, &child))?;
+                findings.verification = Some(verified?);
             }
             match new {
                 Ok(new) if proven && settled => {

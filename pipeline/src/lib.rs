@@ -58,6 +58,7 @@ pub mod dataset;
 pub mod demo;
 pub mod discrepancy;
 pub mod input;
+pub mod interruptible;
 pub mod maps;
 pub(crate) mod output;
 pub mod refine;

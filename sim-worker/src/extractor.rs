@@ -2,7 +2,9 @@
 //! size of the chunks (every sum runs sample by sample).
 
 use crate::monitor::MonitorTrack;
+use crate::onset::{Onset, OnsetPlan};
 use crate::parameters::ActuatorParameters;
+use crate::suspect::{Jumps, Outlier, PhaseSum};
 use crate::witness::{SineShape, SineWitness, imbalance};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
@@ -88,6 +90,7 @@ pub struct FeaturePlan {
     sine_shape: SineShape,
     /// height of the step: its sign is the direction of motion [rad]
     pub step_rad: f64,
+    onset: Option<OnsetPlan>,
     /// |Im| of the simplified model over `sine` [A]
     monitor_a: Vec<f64>,
     equivalent_current: bool,
@@ -136,7 +139,11 @@ impl FeaturePlan {
             let track = MonitorTrack::run(actuator, sequence, rate_hz);
             track.abs_current_a[w.from as usize - 1..w.to as usize].to_vec()
         });
+        let onset = step_rad
+            .filter(|_| step.is_some())
+            .and_then(|height| OnsetPlan::new(actuator, height, rate_hz, no_load_rad_per_s));
         Self {
+            onset,
             rate_hz,
             gear_ratio: actuator.gear_ratio,
             sequence: sequence.name.clone(),
@@ -213,13 +220,22 @@ pub struct FeatureExtractor {
     // step: samples seen without a gap, speed of the last of them
     step_seen: u64,
     step_speed: f64,
+    /// reached by one sample; the next one confirms it, since one sample may be off
+    rise_pending_s: Option<f64>,
     rise_s: Option<f64>,
+    onset: Onset,
+    // what cannot be true
+    regime_sum: PhaseSum,
+    regime_jumps: Jumps,
+    sine_phase_sum: PhaseSum,
     // sine
     sine_seen: u64,
     sine_sum2: f64,
     witness: SineWitness,
     // ramp
     ramp_seen: u64,
+    /// off rest for one sample; the next one confirms it
+    breakaway_pending_rad: Option<f64>,
     breakaway_rad: Option<f64>,
 }
 
@@ -237,11 +253,17 @@ impl FeatureExtractor {
             current_sum2: [0.0; 3],
             step_seen: 0,
             step_speed: 0.0,
+            rise_pending_s: None,
             rise_s: None,
+            onset: Onset::default(),
+            regime_sum: PhaseSum::default(),
+            regime_jumps: Jumps::default(),
+            sine_phase_sum: PhaseSum::default(),
             sine_seen: 0,
             sine_sum2: 0.0,
             witness: SineWitness::default(),
             ramp_seen: 0,
+            breakaway_pending_rad: None,
             breakaway_rad: None,
         }
     }
@@ -262,7 +284,10 @@ impl FeatureExtractor {
         }
         if let (Some(w), Some(omega)) = (self.plan.regime, view.column(Channel::OmegaM)) {
             let inv_n = 1.0 / self.plan.gear_ratio;
-            for &x in &omega[w.rows(view)] {
+            let rows = w.rows(view);
+            let first = view.first + rows.start as u64;
+            for (&x, sample) in omega[rows].iter().zip(first..) {
+                self.regime_jumps.push(sample, x);
                 let u = x * inv_n;
                 if self.regime_seen == 0 {
                     self.shift = u;
@@ -277,6 +302,7 @@ impl FeatureExtractor {
         if let (Some(w), [Some(a), Some(b), Some(c)]) = (self.plan.regime, phases) {
             let rows = w.rows(view);
             for i in rows.clone() {
+                self.regime_sum.push(view.first + i as u64, [a[i], b[i], c[i]]);
                 for (sum, x) in self.current_sum2.iter_mut().zip([a[i], b[i], c[i]]) {
                     *sum += x * x;
                 }
@@ -286,6 +312,7 @@ impl FeatureExtractor {
         if let (Some(w), Some(omega), None) = (self.plan.step, view.column(Channel::OmegaM), self.rise_s) {
             self.rise(w, view.first, &omega[w.rows(view)]);
         }
+        self.begin(view, phases);
         if let Some(w) = self.plan.sine {
             let rows = w.rows(view);
             self.witness.push(&self.plan.sine_shape, view, rows.clone());
@@ -299,6 +326,9 @@ impl FeatureExtractor {
                 {
                     let d = 0.5 * (a.abs() + b.abs() + c.abs()) - m;
                     self.sine_sum2 += d * d;
+                }
+                for i in rows.clone() {
+                    self.sine_phase_sum.push(view.first + i as u64, [a[i], b[i], c[i]]);
                 }
                 self.sine_seen += rows.len() as u64;
             } else if let Some(i) = view.column(Channel::IEq) {
@@ -316,7 +346,14 @@ impl FeatureExtractor {
             self.ramp_seen += rows.len() as u64;
             if let (None, Some(rest), true) = (self.breakaway_rad, self.rest_rad, unbroken) {
                 let limit = BREAKAWAY_COUNTS * std::f64::consts::TAU / (1u64 << RESOLVER_BITS) as f64;
-                self.breakaway_rad = rows.clone().find(|&i| (theta[i] - rest).abs() > limit).map(|i| com[i]);
+                for i in rows {
+                    let off = (theta[i] - rest).abs() > limit;
+                    if off && self.breakaway_pending_rad.is_some() {
+                        self.breakaway_rad = self.breakaway_pending_rad;
+                        break;
+                    }
+                    self.breakaway_pending_rad = off.then_some(com[i]);
+                }
             }
         }
     }
@@ -332,14 +369,42 @@ impl FeatureExtractor {
         for &omega in omega {
             let (before, now) = (self.step_speed, sign * omega);
             // sample n of the window is the value at its end, n intervals after the step
-            if now >= limit {
-                let share = (limit - before) / (now - before);
-                self.rise_s = Some((self.step_seen as f64 + share) / self.plan.rate_hz);
+            if now >= limit && self.rise_pending_s.is_some() {
+                self.rise_s = self.rise_pending_s;
                 return;
             }
+            let share = (limit - before) / (now - before);
+            self.rise_pending_s = (now >= limit).then(|| (self.step_seen as f64 + share) / self.plan.rate_hz);
             self.step_speed = now;
             self.step_seen += 1;
         }
+    }
+
+    /// Follows current and speed from the step on, until both have risen; after a gap no more.
+    fn begin(&mut self, view: &TelemetryView<'_>, phases: [Option<&[f64]>; 3]) {
+        let (Some(w), Some(plan), Some(omega)) = (self.plan.step, self.plan.onset, view.column(Channel::OmegaM)) else {
+            return;
+        };
+        let rows = w.rows(view);
+        let first = view.first + rows.start as u64;
+        if rows.is_empty() || first != w.from + self.onset.seen() {
+            return;
+        }
+        let sign = 1f64.copysign(self.plan.step_rad);
+        let single = view.column(Channel::IEq);
+        for i in rows {
+            let current = match (phases, single) {
+                ([Some(a), Some(b), Some(c)], _) => 0.5 * (a[i].abs() + b[i].abs() + c[i].abs()),
+                (_, Some(eq)) => eq[i],
+                _ => return,
+            };
+            self.onset.push(&plan, sign * omega[i], current);
+        }
+    }
+
+    /// By how much the currents are late; negative where the speed is [s].
+    fn late_s(&self) -> Option<f64> {
+        self.plan.onset.and_then(|plan| self.onset.late_s(&plan))
     }
 
     /// Motor angle at sample 1, once it has come [rad].
@@ -376,20 +441,24 @@ impl FeatureExtractor {
         let mean = self.sum / n;
         let phases = whole(self.plan.regime, self.current_seen) && !self.plan.equivalent_current;
         let sine = whole(self.plan.sine, self.sine_seen);
-        let even = self.witness.even_current_a().filter(|_| sine);
+        let speed_holds = regime && self.regime_jumps.outlier().is_none();
+        let is_late = self.late_s().is_some();
+        let regime_holds = phases && self.regime_sum.outlier().is_none() && !is_late;
+        let sine_holds = sine && self.sine_phase_sum.outlier().is_none() && !is_late;
+        let even = self.witness.even_current_a().filter(|_| sine_holds);
         let value = |raw| match raw {
             // a step down runs with negative speed: the mean is counted in the step's direction
-            Raw::MeanSpeed => regime.then(|| (self.shift + mean) * 1f64.copysign(self.plan.step_rad)),
-            Raw::Ripple => regime.then(|| (self.sum2 / n - mean * mean).max(0.0).sqrt()),
-            Raw::P2 => sine.then(|| (self.sine_sum2 / self.sine_seen as f64).sqrt()),
+            Raw::MeanSpeed => speed_holds.then(|| (self.shift + mean) * 1f64.copysign(self.plan.step_rad)),
+            Raw::Ripple => speed_holds.then(|| (self.sum2 / n - mean * mean).max(0.0).sqrt()),
+            Raw::P2 => sine_holds.then(|| (self.sine_sum2 / self.sine_seen as f64).sqrt()),
             Raw::P3 => self.breakaway_rad,
             Raw::Rise => self.rise_s,
             Raw::CurrentRms => {
-                phases.then(|| (self.current_sum2.iter().sum::<f64>() / (3.0 * self.current_seen as f64)).sqrt())
+                regime_holds.then(|| (self.current_sum2.iter().sum::<f64>() / (3.0 * self.current_seen as f64)).sqrt())
             }
             Raw::SineTravel => self.witness.travel_rad().filter(|_| sine),
-            Raw::CurrentSum => self.witness.current_sum_a().filter(|_| sine),
-            Raw::CurrentImbalance => imbalance(self.current_sum2).filter(|_| phases),
+            Raw::CurrentSum => self.witness.current_sum_a().filter(|_| sine_holds),
+            Raw::CurrentImbalance => imbalance(self.current_sum2).filter(|_| regime_holds),
             Raw::EvenCurrent => even.map(|e| e.1),
             Raw::BiasCurrent => even.map(|e| e.0),
         };
@@ -412,6 +481,49 @@ impl FeatureExtractor {
             v.push("rest position: sample 1 is missing".into());
         } else if self.plan.ramp.is_some_and(|w| w.len() == self.ramp_seen) && self.breakaway_rad.is_none() {
             v.push("P3: the motor does not leave rest in the ramp".into());
+        }
+        v.extend(self.untrue());
+        v
+    }
+
+    /// What was measured and cannot be true, in words; the features that it enters are left out.
+    fn untrue(&self) -> Vec<String> {
+        let at = |o: Outlier| format!("sample {} ({:.4} s)", o.sample, o.sample as f64 / self.plan.rate_hz);
+        let mut v = Vec::new();
+        let sums = [
+            (self.plan.regime, self.current_seen, &self.regime_sum, "step"),
+            (self.plan.sine, self.sine_seen, &self.sine_phase_sum, "sine"),
+        ];
+        for (window, seen, sum, name) in sums {
+            if let Some(o) = sum.outlier().filter(|_| window.is_some_and(|w| w.len() == seen)) {
+                let what = format!("the phase currents sum to {:.2} A", o.size);
+                v.push(format!(
+                    "{name}: {} is no measurement: {what}, far beyond all others",
+                    at(o)
+                ));
+            }
+        }
+        if let Some(o) = self
+            .regime_jumps
+            .outlier()
+            .filter(|_| self.plan.regime.is_some_and(|w| w.len() == self.regime_seen))
+        {
+            let what = format!("the speed jumps by {:.1} rad/s and back", o.size);
+            v.push(format!(
+                "step: {} is no measurement: {what}, far beyond all others",
+                at(o)
+            ));
+        }
+        if let Some(late) = self.late_s() {
+            let (one, other) = if late > 0.0 {
+                ("current", "speed")
+            } else {
+                ("speed", "current")
+            };
+            v.push(format!(
+                "step: the {one} comes {:.2} ms later than the {other} says",
+                1e3 * late.abs()
+            ));
         }
         v
     }

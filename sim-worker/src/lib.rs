@@ -46,6 +46,7 @@ pub mod interrupt;
 pub mod lanes;
 pub mod monitor;
 pub mod noise;
+pub mod onset;
 pub mod parameters;
 pub mod plant;
 #[cfg(feature = "dataset")]
@@ -54,6 +55,7 @@ pub mod sensor;
 pub mod setup;
 pub mod simulate;
 pub mod spread;
+pub mod suspect;
 pub mod test_bench;
 pub mod trig;
 pub mod witness;

@@ -6,7 +6,7 @@ use crate::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::sequence::TestSequence;
-use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryViewMut};
+use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView, TelemetryViewMut};
 use std::sync::OnceLock;
 
 /// Runs that go side by side.
@@ -151,12 +151,39 @@ fn simulate_into(
             }
             for l in 0..runs.len() {
                 simulation.write(l, &mut buffer.view_mut(simulation.first(), rows));
+                check_finite(&runs[l], experiment, &buffer.view())?;
                 sinks[l].accept(&headers[l], &buffer.view())?;
             }
         }
         steps += simulation.steps() * runs.len() as u64;
     }
     Ok(Some(steps))
+}
+
+/// Parameters may each be allowed and together be more than the step can follow: such a run ends at its first value
+/// that is no number.
+fn check_finite(run: &Run, experiment: &Experiment, view: &TelemetryView<'_>) -> Result<()> {
+    // no simulator gives the winding temperature
+    let given = experiment.channels.iter().filter(|c| *c != Channel::Temperature);
+    for (channel, values) in given.filter_map(|c| Some((c, view.column(c)?))) {
+        if let Some(i) = values.iter().position(|x| !x.is_finite()) {
+            let time_s = (view.first + i as u64) as f64 / experiment.rate_hz;
+            let place = format!(
+                "{} at {time_s} s, FSJ {}, zeta {}",
+                channel.name(),
+                run.lane.fault.fsj,
+                run.lane.fault.zeta
+            );
+            let allowed = "finite values: parameters too extreme for the model, or a step_s too long for them";
+            return Err(Error::bad(
+                format!("actuator `{}`", run.lane.actuator.name),
+                place,
+                values[i],
+                allowed,
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// Up to [`LANES`] runs that are simulated block by block; whoever asks for a block says where its

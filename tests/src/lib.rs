@@ -6,6 +6,7 @@
 //! - [`second`], [`independent`]: rigs and actuators of other hands: generators that know nothing of the study, written
 //!   from the words of its interface alone and kept as they were before their keys were opened
 //! - [`fleet`]: datasets made by workers that are killed, stopped and started again
+//! - [`mutation`]: inputs changed at random, through every door that takes a file
 //! - [`s3`], [`slurm`]: a server and a cluster of our own, gone with the test
 //! - [`stream`]: processes on a stream of their own
 //! - [`soak`]: a stream whose processes are killed at random moments
@@ -19,6 +20,7 @@ pub mod campaign;
 pub mod coverage;
 pub mod fleet;
 pub mod independent;
+pub mod mutation;
 pub mod s3;
 pub mod second;
 pub mod slurm;

@@ -224,6 +224,33 @@ fn e2e_ctrl_c_leaves_things_clean() {
     assert!(contents(&out).keys().all(|k| !k.contains(".tmp-")));
 }
 
+#[cfg(unix)]
+#[test]
+fn e2e_a_study_gives_up_at_ctrl_c_and_writes_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let (recording, out) = (dir.path().join("run.parquet"), dir.path().join("found"));
+    let faulty = ["--fsj", "3", "--zeta", "0.3", "--sensors", "reference"];
+    ok(&[
+        &["run"],
+        &faulty[..],
+        &["--sequence", "multisine", "--out", text(&recording)],
+    ]
+    .concat());
+    let child = ema(&[])
+        .args(["discrepancy", "--bench", text(&recording), "--out", text(&out)])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(Duration::from_millis(150));
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let o = child.wait_with_output().unwrap();
+    assert_eq!(o.status.code(), Some(130), "{}", String::from_utf8_lossy(&o.stderr));
+    assert!(String::from_utf8_lossy(&o.stderr).contains("interrupted"));
+    assert!(!out.exists() || contents(&out).is_empty());
+}
+
 #[test]
 fn e2e_reference_recording_is_located_within_bounds() {
     let Some(dir) = ema_tests::folder("EMA_REFERENCE_DIR") else {
@@ -729,5 +756,32 @@ fn refuse_damaged_files_in_one_line() {
             &["step_s", "1e-8"],
         );
         assert!(!out.exists());
+    }
+}
+
+#[test]
+fn e2e_one_bad_sample_is_named_and_what_it_enters_is_left_out() {
+    let Some(reference) = ema_tests::folder("EMA_REFERENCE_DIR") else {
+        return;
+    };
+    let (file, maps) = (
+        reference.join("damaged/one-sample-spike.csv"),
+        reference.join("damaged/maps-1khz"),
+    );
+    if !file.exists() {
+        println!("skipped: no damaged in EMA_REFERENCE_DIR");
+        return;
+    }
+    let d = json(&["diagnose", text(&file), "--maps", text(&maps), "--json"]);
+    assert_eq!(d["outcome"], "incomplete", "{d}");
+    let reason = d["reason"].as_str().unwrap();
+    assert!(
+        reason.contains("the phase currents sum to") && reason.contains("sample "),
+        "{reason}"
+    );
+    // what is left still holds the truth
+    for (key, truth) in [("fsj", 3.0), ("zeta", 0.3)] {
+        let (lo, hi) = (d[key]["lo"].as_f64().unwrap(), d[key]["hi"].as_f64().unwrap());
+        assert!(lo <= truth && truth <= hi, "{d}");
     }
 }

@@ -216,6 +216,50 @@ fn prop_single_bits_of_a_finished_dataset_are_found() {
 }
 
 #[test]
+fn prop_without_the_manifest_flipped_bits_are_still_found() {
+    let bed = Bed::new("single", "bits-no-manifest");
+    let plan = DatasetPlan::read(&made().0.path("plan.toml")).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(16);
+    for file in [names(4).0, FEATURES.to_string(), ACTUATORS.to_string()] {
+        let bytes = made().1[&file].clone();
+        for _ in 0..12 {
+            fs::remove_file(bed.root.join(MANIFEST)).ok();
+            let (at, bit) = (rng.random_range(0..bytes.len()), rng.random_range(0..8));
+            bed.change(&file, |b| b[at] ^= 1 << bit);
+            let named = |r: &Report| r.findings.iter().any(|f| f.path == file && f.damaged);
+            assert!(named(&bed.verify()), "bit {bit} of byte {at} of {file}");
+            // what a merge makes of it does not pass for whole
+            let merged = merge(&plan, &bed.storage, |_, _| ());
+            assert!(
+                merged.is_err() || named(&bed.verify()),
+                "bit {bit} of byte {at} of {file}"
+            );
+            fs::write(bed.root.join(&file), &bytes).unwrap();
+        }
+    }
+    fs::remove_file(bed.root.join(MANIFEST)).ok();
+    bed.change(&names(4).0, |b| b[1000] ^= 4);
+    assert_eq!(bed.heal(), 1);
+}
+
+#[test]
+fn prop_a_merge_of_a_finished_dataset_makes_the_actuators_again_and_names_what_it_cannot() {
+    let plan = DatasetPlan::read(&made().0.path("plan.toml")).unwrap();
+    let bed = Bed::new("single", "merge-again");
+    fs::remove_file(bed.root.join(ACTUATORS)).unwrap();
+    let found = bed.verify();
+    assert!(found.findings[0].what.contains("ema dataset merge"), "{found:?}");
+    merge(&plan, &bed.storage, |_, _| ()).unwrap();
+    same(&files(&bed.root), &made().1);
+    fs::remove_file(bed.root.join(names(3).0)).unwrap();
+    let e = merge(&plan, &bed.storage, |_, _| ()).unwrap_err().to_string();
+    assert!(
+        e.contains(&names(3).0) && e.contains("ema dataset verify --discard"),
+        "{e}"
+    );
+}
+
+#[test]
 fn prop_damaged_staged_files_are_found_and_made_again() {
     for (kind, damage) in DAMAGES {
         for (part, staged) in [(4, true), (9, false)] {

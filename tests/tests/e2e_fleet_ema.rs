@@ -41,6 +41,8 @@ fn dataset() -> &'static Made {
         assert!(made.contains("4 sets of maps"), "{made}");
         let done = ok(&["dataset", "diagnose", text(&data)]);
         assert!(done.contains("12 tests"), "{done}");
+        // twelve are too few to calibrate by
+        assert!(done.contains("simulated tests of the same actuators"), "{done}");
         Made {
             _dir: dir,
             plan: file,
@@ -176,6 +178,8 @@ fn e2e_questions_find_the_actuator_that_was_set_apart() {
     assert_eq!(total["tests"], 12, "{coverage}");
     let apart = ask("SELECT actuator FROM actuators ORDER BY phase_resistance_ohm DESC LIMIT 1");
     assert_eq!(apart[0]["actuator"], "CD.right");
+    let stated = ask("SELECT DISTINCT coverage FROM diagnoses");
+    assert_eq!(stated, serde_json::json!([{ "coverage": 0.95 }]));
     let intervals = ask("SELECT COUNT(*) AS n FROM intervals");
     assert_eq!(intervals[0]["n"], 24);
     // another seed draws other actuators: their maps have moved

@@ -1,7 +1,7 @@
 //! `ema plan` and `ema dataset`.
 
 use super::{list, say};
-use crate::dataset::diagnose::{Diagnosed, by_own_maps, by_type};
+use crate::dataset::diagnose::{Diagnosed, Grounds, by_own_maps, by_type};
 use crate::dataset::estimate::{estimate, to_json, to_text};
 use crate::dataset::{Dataset, export};
 use anyhow::Result;
@@ -269,10 +269,13 @@ fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         }
     };
     list("no maps:", &done.refused);
-    if let Some(n) = done.calibrated_with {
-        say(&format!("calibrated with {n} tests of the other half each"));
-    } else if a.maps.is_none() {
-        say("too few tests to calibrate by: intervals reach as far as designed");
+    match done.grounds {
+        Grounds::Halves(n) => say(&format!("calibrated with {n} tests of the other half each")),
+        Grounds::Simulated(n) => say(&format!(
+            "too few tests to calibrate by: calibrated with {n} simulated tests of the same actuators"
+        )),
+        Grounds::OfMaps => {}
+        Grounds::Design => say("the maps have no calibration: intervals reach as far as designed"),
     }
     say(&format!(
         "{} tests: {} located, of these {} with the exact pair in both intervals; {}",

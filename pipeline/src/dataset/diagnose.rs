@@ -2,7 +2,7 @@
 
 use super::maps::{maps_of, pairs};
 use super::{Dataset, Rows, grids};
-use crate::calibrate::score_all;
+use crate::calibrate::{Effort, draw_units, measure, range, score_all};
 use anyhow::Result;
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
@@ -17,7 +17,7 @@ use sim_worker::dataset::parts::Kind;
 use sim_worker::spread::{Cause, Spread};
 use std::sync::Arc;
 
-/// Fewest tests that a calibration is made from; with fewer, areas reach as far as designed.
+/// Fewest tests of the fleet that a calibration is made from; with fewer, tests are simulated for it.
 const FEWEST: usize = 50;
 
 /// A test of one actuator.
@@ -29,6 +29,19 @@ struct Test {
     features: Features,
 }
 
+/// What the reach of the intervals comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grounds {
+    /// tests of the fleet, this many for each half: odd ones are calibrated by even ones and the other way round
+    Halves(usize),
+    /// this many tests of the same actuators at random faults, simulated for the purpose
+    Simulated(usize),
+    /// the calibration that the maps of the type bring
+    OfMaps,
+    /// nothing: intervals reach as far as designed
+    Design,
+}
+
 /// What was diagnosed.
 #[derive(Clone, Debug)]
 pub struct Diagnosed {
@@ -36,8 +49,8 @@ pub struct Diagnosed {
     pub located: usize,
     /// located tests whose exact pair lies in both intervals
     pub inside: usize,
-    /// tests that each half was calibrated with; none where they were too few, or the maps bring theirs
-    pub calibrated_with: Option<usize>,
+    /// what the reach of the intervals comes from
+    pub grounds: Grounds,
     /// actuators without maps, and why
     pub refused: Vec<String>,
     pub path: String,
@@ -59,11 +72,16 @@ fn tests<'a>(d: &'a Dataset, set: &'a FailureMapSet, rows: &'a [Rows<'a>]) -> im
     })
 }
 
-/// A calibration from the scores of tests; none where they are too few.
-fn calibration(scores: &[Score]) -> Option<Calibration> {
-    if scores.len() < FEWEST {
-        return None;
-    }
+/// An actuator with its maps.
+struct Own {
+    actuator: usize,
+    sequence: usize,
+    rest: usize,
+    maps: FailureMapSet,
+}
+
+/// A calibration from the scores of tests.
+fn calibration(scores: &[Score]) -> Calibration {
     let mut c = Calibration {
         spread: Spread::none().name,
         half_width: [0.0; Cause::COUNT],
@@ -78,11 +96,40 @@ fn calibration(scores: &[Score]) -> Option<Calibration> {
         surfaces: None,
     };
     score_all(&mut c, scores);
-    Some(c)
+    c
+}
+
+/// Scores of simulated tests: each actuator's at random faults, through the sensors of the dataset. As many in all as
+/// maps that are made on first use are calibrated with.
+fn simulated(d: &Dataset, sets: &[Own]) -> Result<Vec<Score>> {
+    let each = Effort::QUICK.runs.div_ceil(sets.len().max(1));
+    let mut scores = Vec::new();
+    for (own, k) in sets.iter().zip(0u64..) {
+        let (fsj, zeta) = range(&own.maps);
+        // apart from the seeds of the plan's own runs
+        let seed = d
+            .plan
+            .seed
+            .wrapping_mul(2)
+            .wrapping_add(0xD << 56)
+            .wrapping_add(k << 32);
+        let units = draw_units(fsj, zeta, &Spread::none(), each, seed);
+        let setup = d.plan.setup(own.actuator, own.sequence, own.rest);
+        let title = format!("calibration {}", d.plan.actuators[own.actuator].id);
+        let measured = measure(&setup, &Spread::none(), &units, &title)?.ok_or(crate::Interrupted)?;
+        let bare = Diagnoser::uncalibrated(own.maps.clone());
+        let tests = units.iter().zip(&measured);
+        scores.extend(tests.filter_map(|(u, raw)| bare.score(&own.maps.features(raw), u.fault.fsj, u.fault.zeta)));
+    }
+    Ok(scores)
 }
 
 /// Each actuator's tests by its own maps. The reach of the intervals comes from tests of the whole fleet: odd
-/// tests are calibrated by even ones and the other way round, so that none is calibrated by itself.
+/// tests are calibrated by even ones and the other way round, so that none is calibrated by itself. Where they are
+/// too few, it comes from tests that are simulated for it.
+///
+/// # Errors
+/// Refuses a plan without tests and a dataset that cannot be read; may be interrupted ([`crate::Interrupted`]).
 pub fn by_own_maps(d: &Dataset) -> Result<Diagnosed> {
     let none = d.plan.tests_per_actuator == 0;
     if none {
@@ -90,7 +137,7 @@ pub fn by_own_maps(d: &Dataset) -> Result<Diagnosed> {
         return Err(Error::bad(d.storage.describe(), "runs", "no tests", allowed).into());
     }
     let mut all: Vec<(usize, Test)> = Vec::new();
-    let mut sets: Vec<FailureMapSet> = Vec::new();
+    let mut sets: Vec<Own> = Vec::new();
     let mut refused = Vec::new();
     d.each_actuator(|actuator, rows| {
         // tests are of the first sequence, from the first rest angle
@@ -98,35 +145,45 @@ pub fn by_own_maps(d: &Dataset) -> Result<Diagnosed> {
             return Ok(());
         };
         match maps_of(d, actuator, sequence, rest, &values, true) {
-            Ok(set) => {
-                all.extend(tests(d, &set, rows).map(|t| (sets.len(), t)));
-                sets.push(set);
+            Ok(maps) => {
+                all.extend(tests(d, &maps, rows).map(|t| (sets.len(), t)));
+                sets.push(Own {
+                    actuator,
+                    sequence,
+                    rest,
+                    maps,
+                });
             }
             Err(e) => refused.push(e.to_string()),
         }
         Ok(())
     })?;
     let mut halves: [Vec<Score>; 2] = Default::default();
-    for (k, set) in sets.iter().enumerate() {
-        let bare = Diagnoser::uncalibrated(set.clone());
-        let own = all.iter().filter(|(s, _)| *s == k).enumerate();
-        for (i, (_, t)) in own {
+    for (k, own) in sets.iter().enumerate() {
+        let bare = Diagnoser::uncalibrated(own.maps.clone());
+        let tests = all.iter().filter(|(s, _)| *s == k).enumerate();
+        for (i, (_, t)) in tests {
             halves[i % 2].extend(bare.score(&t.features, t.fault.fsj, t.fault.zeta));
         }
     }
-    let calibrations = halves.each_ref().map(|scores| calibration(scores));
+    let fewest = halves[0].len().min(halves[1].len());
+    let (grounds, calibrations) = if fewest >= FEWEST {
+        (Grounds::Halves(fewest), halves.each_ref().map(|s| calibration(s)))
+    } else {
+        let c = calibration(&simulated(d, &sets)?);
+        (Grounds::Simulated(c.runs), [c.clone(), c])
+    };
     let mut results = Vec::new();
-    for (k, set) in sets.into_iter().enumerate() {
-        let diagnosers = [0, 1]
-            .map(|half: usize| Diagnoser::new(set.clone(), calibrations[1 - half].clone(), COVERAGE, &Vec::new()));
-        let [even, odd] = diagnosers;
-        let diagnosers = [even?, odd?];
-        let own = all.iter().filter(|(s, _)| *s == k).enumerate();
-        results.extend(own.map(|(i, (_, t))| (t, diagnosers[i % 2].diagnose(&t.features, &[]))));
+    for (k, own) in sets.into_iter().enumerate() {
+        let by = |half: usize| {
+            let c = Some(calibrations[1 - half].clone());
+            Diagnoser::new(own.maps.clone(), c, COVERAGE, &Vec::new())
+        };
+        let diagnosers = [by(0)?, by(1)?];
+        let tests = all.iter().filter(|(s, _)| *s == k).enumerate();
+        results.extend(tests.map(|(i, (_, t))| (t, diagnosers[i % 2].diagnose(&t.features, &[]))));
     }
-    let with = calibrations.each_ref().map(|c| c.as_ref().map(|c| c.runs));
-    let with = with[0].zip(with[1]).map(|(a, b)| a.min(b));
-    write(d, "own", &results, with.is_some(), with, refused)
+    write(d, "own", &results, grounds, refused)
 }
 
 /// All tests by the maps of the type, which bring their own calibration.
@@ -137,16 +194,18 @@ pub fn by_type(d: &Dataset, diagnoser: &Diagnoser) -> Result<Diagnosed> {
         Ok(())
     })?;
     let results: Vec<(&Test, Diagnosis)> = all.iter().map(|t| (t, diagnoser.diagnose(&t.features, &[]))).collect();
-    let calibrated = diagnoser.calibration.is_some();
-    write(d, "type", &results, calibrated, None, Vec::new())
+    let grounds = match diagnoser.calibration {
+        Some(_) => Grounds::OfMaps,
+        None => Grounds::Design,
+    };
+    write(d, "type", &results, grounds, Vec::new())
 }
 
 fn write(
     d: &Dataset,
     maps: &str,
     results: &[(&Test, Diagnosis)],
-    calibrated: bool,
-    calibrated_with: Option<usize>,
+    grounds: Grounds,
     refused: Vec<String>,
 ) -> Result<Diagnosed> {
     let text = |f: &dyn Fn(&Test, &Diagnosis) -> String| -> ArrayRef {
@@ -198,7 +257,7 @@ fn write(
             "coverage",
             DataType::Float64,
             true,
-            number(&|_, r| calibrated.then_some(r.coverage)),
+            number(&|_, r| (grounds != Grounds::Design).then_some(r.coverage)),
         ),
         ("contradicting", DataType::Utf8, false, text(&|_, r| contradicting(r))),
         ("reason", DataType::Utf8, false, text(&|_, r| r.outcome.reason().into())),
@@ -221,7 +280,7 @@ fn write(
         tests: results.len(),
         located: located.clone().count(),
         inside: inside.count(),
-        calibrated_with,
+        grounds,
         refused,
         path,
     })

@@ -1,17 +1,19 @@
 //! Puts the parts of all shards together: compacts their features, and commits the manifest last. Started
 //! twice, killed or late, it comes to the same dataset.
 
+use super::compacted::Compacted;
 use super::layout::{ACTUATORS, MANIFEST, features, staged};
 use super::manifest::{File, Manifest};
 use super::parts::Part;
 use super::plan::{DatasetPlan, SOURCE};
 use super::storage::Storage;
-use super::tables::{PartRows, Receipt, Staged, Table, actuators_file, features_file};
+use super::tables::{Receipt, Staged, Table, actuators_file};
 use super::work::{Made, enter};
 use rayon::prelude::*;
 use schemas::SCHEMA_VERSION;
 use schemas::error::{Error, Result};
 use schemas::fingerprint::checksum;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// How a merge ended.
@@ -63,39 +65,30 @@ fn compact(
         let bytes = bytes.ok_or_else(|| Error::torn(Path::new(&name), "vanished while the parts were put together"))?;
         Staged::from_bytes(&name, bytes, fingerprint, part, true)
     };
-    let mut receipts: Vec<Option<Receipt>> = Vec::new();
-    if !there {
+    let numbered: Vec<&Part> = parts.iter().collect();
+    let receipts: Vec<Option<Receipt>> = if !there {
         let list: Vec<Staged> = parts.par_iter().map(read).collect::<Result<_>>()?;
-        let mut groups: Vec<Vec<PartRows<'_>>> = Vec::new();
-        let per_group = plan.actuators_per_row_group();
-        let mut last = None;
-        for (part, staged) in parts.iter().zip(list) {
-            let group = part.actuator / per_group;
-            if last.replace(group) != Some(group) {
-                groups.push(Vec::new());
-            }
-            let rows = staged.rows;
-            groups.last_mut().expect("just pushed").push(PartRows { part, rows });
-            receipts.push(staged.telemetry);
-        }
-        storage.put_new(&path, features_file(plan, &groups)?)?;
+        let (rows, telemetry) = list.into_iter().map(|s| (s.rows, s.telemetry)).unzip();
+        let compacted = Compacted { rows, telemetry };
+        storage.put_new(&path, compacted.to_bytes(plan, &numbered)?)?;
+        compacted.telemetry
     } else {
         let bytes = storage.get(&path)?.unwrap_or_default();
-        let of = Table::pair_of(&path, bytes, "ema.plan")?.unwrap_or_else(|| "nothing".into());
+        let of = Table::pair_of(&path, bytes.clone(), "ema.plan")?.unwrap_or_else(|| "nothing".into());
         if of != fingerprint {
             let file = format!("{}/{path}", storage.describe());
             let allowed = format!("{fingerprint}; ema dataset verify --discard removes what is not of this dataset");
             return Err(Error::bad(file, "metadata `ema.plan`", of, allowed));
         }
+        let merged = Compacted::from_bytes(plan, &path, bytes, &numbered, true)?;
+        let before = merged.map_or(vec![None; parts.len()], |m| m.telemetry);
         // merged before; what was staged since is what verification had discarded
-        receipts = parts
-            .par_iter()
-            .map(|p| {
-                let again = part_staged(storage, p)?.then(|| read(p)).transpose()?;
-                Ok(again.and_then(|s| s.telemetry))
-            })
-            .collect::<Result<_>>()?;
-    }
+        let again = |(p, before): (&Part, Option<Receipt>)| {
+            let staged = part_staged(storage, p)?.then(|| read(p)).transpose()?;
+            Ok(staged.and_then(|s| s.telemetry).or(before))
+        };
+        parts.par_iter().zip(before).map(again).collect::<Result<_>>()?
+    };
     let runs = parts[0].runs.start..parts[parts.len() - 1].runs.end;
     let mut files = vec![of_table(&path, receipt_of(storage, &path)?, Some(runs))];
     for (part, receipt) in parts.iter().zip(receipts) {
@@ -125,16 +118,45 @@ pub fn merge(plan: &DatasetPlan, storage: &Storage, said: impl Fn(usize, usize))
     match put_together(plan, storage, said) {
         // another merge was quicker, and has cleared the staging folder
         Err(e) => match Manifest::read(storage) {
-            Ok(Some(manifest)) if manifest.plan == plan.fingerprint() => Ok(Merged::Whole(manifest)),
+            Ok(Some(manifest)) if manifest.plan == plan.fingerprint() => {
+                complete(plan, storage, &manifest)?;
+                Ok(Merged::Whole(manifest))
+            }
             _ => Err(e),
         },
         done => done,
     }
 }
 
+/// Makes the table of actuators again where it is gone, which the plan says whole.
+///
+/// # Errors
+/// Names a file of the manifest that is not there, or not as long as it was, and what helps.
+fn complete(plan: &DatasetPlan, storage: &Storage, manifest: &Manifest) -> Result<()> {
+    let there: BTreeMap<String, u64> = storage.list("")?.into_iter().collect();
+    for file in manifest.files.iter().filter(|f| there.get(&f.path) != Some(&f.bytes)) {
+        if file.path == ACTUATORS && !there.contains_key(ACTUATORS) {
+            let bytes = actuators_file(plan, ACTUATORS)?;
+            if checksum(&bytes) == file.blake3 {
+                storage.put_new(ACTUATORS, bytes)?;
+                continue;
+            }
+        }
+        let found = there.get(&file.path).map_or("nothing".into(), |n| format!("{n} bytes"));
+        let allowed = format!(
+            "{} bytes; ema dataset verify --discard says which parts to make again",
+            file.bytes
+        );
+        let path = format!("{}/{}", storage.describe(), file.path);
+        return Err(Error::bad(path, "file of the manifest", found, allowed));
+    }
+    Ok(())
+}
+
 fn put_together(plan: &DatasetPlan, storage: &Storage, said: impl Fn(usize, usize)) -> Result<Merged> {
     enter(plan, storage)?;
     if let Some(manifest) = Manifest::read(storage)? {
+        complete(plan, storage, &manifest)?;
         // what a worker left that came late
         storage.delete_prefix(STAGING)?;
         return Ok(Merged::Whole(manifest));

@@ -5,6 +5,7 @@
 //! under fixed names, each once ([`work`]); [`merge`] compacts them and commits the [`manifest`] last;
 //! [`verify`] reads everything again.
 
+pub mod compacted;
 pub mod copy;
 pub mod draw;
 pub mod layout;

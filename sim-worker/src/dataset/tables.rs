@@ -439,11 +439,15 @@ fn features_batch(plan: &DatasetPlan, parts: &[PartRows<'_>]) -> Result<RecordBa
 
 /// A file of `features`: a row group for each of `groups`.
 ///
+/// * `more` metadata, beside those that all tables have
+///
 /// # Errors
 /// What the Parquet writer refuses.
-pub fn features_file(plan: &DatasetPlan, groups: &[Vec<PartRows<'_>>]) -> Result<Vec<u8>> {
+pub fn features_file(plan: &DatasetPlan, groups: &[Vec<PartRows<'_>>], more: Vec<(String, String)>) -> Result<Vec<u8>> {
     let batches: Vec<RecordBatch> = groups.iter().map(|g| features_batch(plan, g)).collect::<Result<_>>()?;
-    table_bytes(&batches, pairs(plan))
+    let mut pairs = pairs(plan);
+    pairs.extend(more);
+    table_bytes(&batches, pairs)
 }
 
 /// The table `actuators`.

@@ -1,13 +1,14 @@
 //! Checks a dataset: every run once, counts, checksums, fingerprints, schema, value ranges; and says which
 //! parts to make again.
 
+use super::compacted::Compacted;
 use super::layout::{ACTUATORS, MANIFEST, PLAN, features, staged};
 use super::manifest::{File, Manifest};
 use super::parts::Part;
 use super::plan::{DatasetPlan, SOURCE};
 use super::ranges::{FeatureRanges, telemetry_ranges};
 use super::storage::Storage;
-use super::tables::{Staged, Table, actuators_file, features_schema, opened};
+use super::tables::{Receipt, Staged, Table, actuators_file, features_schema, opened};
 use super::work::{Made, plan_of};
 use bytes::Bytes;
 use parquet::file::statistics::Statistics;
@@ -124,6 +125,8 @@ impl Report {
 }
 
 struct Check<'a> {
+    /// by part, of files of features that were put together before the manifest was lost
+    merged: BTreeMap<usize, Receipt>,
     plan: &'a DatasetPlan,
     fingerprint: String,
     same_program: bool,
@@ -134,7 +137,7 @@ impl Check<'_> {
     /// What is wrong with a file of features. Each entry is a message.
     fn features(&self, path: &str, bytes: Bytes, parts: &[&Part]) -> Vec<String> {
         let mut wrong = Vec::new();
-        let table = match Table::read(path, bytes) {
+        let table = match Table::read(path, bytes.clone()) {
             Ok(t) => t,
             Err(e) => return vec![e.to_string()],
         };
@@ -155,6 +158,10 @@ impl Check<'_> {
         }
         if let Err(e) = self.rows(&table, parts, &mut wrong) {
             wrong.push(e.to_string());
+        }
+        if wrong.is_empty() {
+            let read = Compacted::from_bytes(self.plan, path, bytes, parts, self.same_program);
+            wrong.extend(read.err().map(|e| e.to_string()));
         }
         wrong
     }
@@ -302,9 +309,14 @@ impl Check<'_> {
     fn file(&self, entry: Option<&File>, path: &str, parts: &[&Part]) -> Result<(u64, Option<Finding>)> {
         let numbers: Vec<usize> = parts.iter().map(|p| p.number).collect();
         let Some(bytes) = self.storage.get(path)? else {
+            let what = if path == ACTUATORS {
+                "missing: ema dataset merge makes it again"
+            } else {
+                "missing"
+            };
             let missing = Finding {
                 path: path.into(),
-                what: "missing".into(),
+                what: what.into(),
                 parts: numbers,
                 damaged: false,
             };
@@ -320,7 +332,8 @@ impl Check<'_> {
             let name = staged(part.number);
             let read = |b| Staged::from_bytes(&name, b, &self.fingerprint, part, self.same_program).ok();
             // damage of the staged file is found there
-            let receipt = self.storage.get(&name)?.and_then(read).and_then(|s| s.telemetry);
+            let staged = self.storage.get(&name)?.and_then(read).and_then(|s| s.telemetry);
+            let receipt = staged.or_else(|| self.merged.get(&part.number).cloned());
             if receipt.is_some_and(|r| (r.bytes, r.blake3) != (size, checksum(&bytes))) {
                 wrong.push(format!(
                     "changed: {size} bytes, not those that the part was staged with"
@@ -465,7 +478,19 @@ pub fn verify(storage: &Storage, said: impl Fn(usize, usize) + Sync) -> Result<R
         });
     }
     let total = jobs.len();
+    let mut merged = BTreeMap::new();
+    if manifest.is_none() {
+        for (_, path, parts) in jobs.iter().filter(|j| j.1.starts_with("features/")) {
+            let bytes = storage.get(path)?.unwrap_or_default();
+            // damage of the file itself is found when it is checked
+            if let Ok(Some(c)) = Compacted::from_bytes(&plan, path, bytes, parts, false) {
+                let numbered = parts.iter().map(|p| p.number).zip(c.telemetry);
+                merged.extend(numbered.filter_map(|(n, receipt)| Some((n, receipt?))));
+            }
+        }
+    }
     let check = Check {
+        merged,
         plan: &plan,
         same_program: fingerprint == plan.fingerprint(),
         fingerprint,

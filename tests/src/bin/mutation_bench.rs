@@ -1,0 +1,96 @@
+//! `cargo run --release -p ema-tests --bin mutation-bench -- --inputs 100000 --seed 1`: inputs changed at random, through
+//! every door that takes a file; says how many were refused and taken, and which failed how.
+
+use anyhow::{Context, Result, ensure};
+use ema_tests::mutation::{Tally, campaign, doors};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+static HELD: AtomicUsize = AtomicUsize::new(0);
+static MOST: AtomicUsize = AtomicUsize::new(0);
+
+struct Counting;
+
+// SAFETY: passes everything on to the system's allocator
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let held = HELD.fetch_add(layout.size(), Ordering::Relaxed) + layout.size();
+        MOST.fetch_max(held, Ordering::Relaxed);
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, p: *mut u8, layout: Layout) {
+        HELD.fetch_sub(layout.size(), Ordering::Relaxed);
+        unsafe { System.dealloc(p, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn option(name: &str, default: u64) -> Result<u64> {
+    let arguments: Vec<String> = std::env::args().collect();
+    match arguments.iter().position(|a| a == name) {
+        None => Ok(default),
+        Some(i) => {
+            let text = arguments.get(i + 1).with_context(|| format!("{name} needs a number"))?;
+            text.parse()
+                .with_context(|| format!("{name} {text}: allowed: a whole number"))
+        }
+    }
+}
+
+fn table(tallies: &BTreeMap<&'static str, Tally>) -> String {
+    let mut out = "| door | inputs | refused | taken | longest [s] | failed |\n|---|---|---|---|---|---|\n".to_string();
+    for (name, t) in tallies {
+        let (longest, failed) = (t.longest.as_secs_f64(), t.faults.len());
+        let _ = writeln!(
+            out,
+            "| {name} | {} | {} | {} | {longest:.2} | {failed} |",
+            t.inputs, t.refused, t.taken
+        );
+    }
+    let most = MOST.load(Ordering::Relaxed) as f64 / 1e6;
+    let _ = writeln!(out, "\ngreatest memory of all threads together: {most:.0} MB");
+    for (what, file) in tallies.values().flat_map(|t| &t.faults) {
+        let _ = writeln!(out, "{}: {what}", file.display());
+    }
+    out
+}
+
+fn run() -> Result<bool> {
+    let (inputs, seed) = (option("--inputs", 100_000)?, option("--seed", 1)?);
+    let programs = std::env::current_exe()?;
+    let ema = programs.with_file_name(format!("ema-under-test{}", std::env::consts::EXE_SUFFIX));
+    ensure!(
+        ema.exists(),
+        "{}: build it first: cargo build --release -p ema-tests --bins",
+        ema.display()
+    );
+    let dir = tempfile::tempdir()?.keep();
+    let doors = doors(&ema, &dir);
+    let tallies = campaign(&doors, inputs, seed, &dir, |n| {
+        if n % 10_000 == 0 {
+            eprintln!("{n} of {inputs}");
+        }
+    });
+    print!("{}", table(&tallies));
+    let whole = tallies.values().all(|t| t.faults.is_empty());
+    if whole {
+        std::fs::remove_dir_all(&dir)?;
+    }
+    Ok(whole)
+}
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(e) => {
+            eprintln!("mutation-bench: {e:#}");
+            ExitCode::from(2)
+        }
+    }
+}
