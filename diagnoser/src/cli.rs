@@ -2,8 +2,9 @@
 
 use crate::live::Known;
 use crate::map_library::{Choice, MapLibrary};
+use crate::receive::maps::MapSource;
 use crate::receive::words::Counts;
-use crate::receive::{MapSource, Options, Show, no_maps, receive};
+use crate::receive::{Options, Show, receive};
 use clap::{Args, Parser};
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
 use schemas::stream::{Domain, domain};
@@ -15,6 +16,9 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+
+/// Longest silence of a stream that is waited for [s].
+const LONGEST_TIMEOUT_S: f64 = 1e6;
 
 /// Which shared memory.
 #[derive(Args, Clone, Debug)]
@@ -57,7 +61,7 @@ pub struct LiveArgs {
     /// Share of tests whose true pair the intervals hold
     #[arg(long, default_value_t = crate::calibration::COVERAGE)]
     coverage: f64,
-    /// Append final diagnoses to FILE.jsonl or FILE.parquet
+    /// Append final diagnoses to FILE.jsonl or FILE.parquet; streams that have one in it get no other one
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     /// Record every stream into this folder as Parquet, while diagnosing
@@ -115,12 +119,20 @@ impl LiveArgs {
     /// What intervals are to be made for.
     ///
     /// # Errors
-    /// Refuses a spread that is neither built in nor a valid TOML file.
+    /// Refuses a spread that is neither built in nor a valid TOML file, and a coverage that is not above 0 and below 1.
     pub fn choice(&self) -> Result<Choice> {
-        Ok(Choice {
-            spread: catalogue::spread(&self.spread)?,
-            coverage: self.coverage,
-        })
+        Choice::new(catalogue::spread(&self.spread)?, self.coverage)
+    }
+
+    fn check(&self) -> Result<()> {
+        if !(self.timeout > 0.0 && self.timeout <= LONGEST_TIMEOUT_S) {
+            let allowed = format!("a number of seconds above 0, at most {LONGEST_TIMEOUT_S}");
+            return Err(Error::bad("command line", "--timeout", self.timeout, allowed));
+        }
+        if self.exit_after == Some(0) {
+            return Err(Error::bad("command line", "--exit-after", 0, "at least 1"));
+        }
+        Ok(())
     }
 
     /// Runs until Ctrl-C (`stop`) or until enough diagnoses have come; returns the exit code.
@@ -128,10 +140,7 @@ impl LiveArgs {
     /// # Errors
     /// Refuses a timeout of no length, and what [`receive`] refuses.
     pub fn run(&self, known: Known, maps: MapSource, stop: &Arc<AtomicBool>) -> Result<u8> {
-        if !(self.timeout.is_finite() && self.timeout > 0.0 && self.timeout < 1e6) {
-            let allowed = "a number of seconds above 0";
-            return Err(Error::bad("command line", "--timeout", self.timeout, allowed));
-        }
+        self.check()?;
         let show = if self.json {
             Show::Json
         } else if self.plain || !std::io::stdout().is_terminal() {
@@ -154,12 +163,15 @@ impl LiveArgs {
             frames,
             diagnoses,
             located,
+            unexplained,
+            out_of_range,
             incomplete,
             strays,
             ..
         } = counts;
         eprintln!(
-            "{frames} frames, {diagnoses} diagnoses: {located} located, {incomplete} incomplete; {strays} frames refused"
+            "{frames} frames, {diagnoses} diagnoses: {located} located, {unexplained} unexplained, {out_of_range} out of \
+             range, {incomplete} incomplete; {strays} frames refused"
         );
         Ok(if stop.load(Ordering::Relaxed) {
             EXIT_INTERRUPTED
@@ -192,12 +204,8 @@ fn run(program: &Program, stop: &Arc<AtomicBool>) -> Result<u8> {
     let library = MapLibrary::open(&program.live.maps)?;
     let (known, _) = program.live.known()?;
     let hint = "make them with `ema maps`, name them with --maps";
-    let choice = program.live.choice()?;
-    let source = move |key: &_| match library.diagnoser(key, &choice) {
-        Some(found) => found.map_err(|e| e.to_string()),
-        None => Err(no_maps(key, hint)),
-    };
-    program.live.run(known, Box::new(source), stop)
+    let source = MapSource::saved(library, program.live.choice()?, hint);
+    program.live.run(known, source, stop)
 }
 
 /// The program `diagnoser`.

@@ -1,16 +1,23 @@
 //! Live diagnosis without input or output: frames in, diagnoses out. Every stream that is seen
 //! ends in exactly one final diagnosis, and what was lost or wrong is said in it.
 
+mod concluded;
+mod making;
+#[cfg(test)]
+mod tests;
 mod track;
 
 use crate::diagnosis::{Diagnoser, Diagnosis, Outcome};
 use crate::map_library::MapKey;
+use concluded::Concluded;
+pub use concluded::StreamId;
+pub use making::{MOST_MAKING, SHARE_FOR_MAKING};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::feature::{Features, RawFeatures};
 use schemas::sequence::TestSequence;
 use schemas::stream::frame::{FrameHeader, RunDescription};
 use schemas::test_kind::TestKind;
-use sim_worker::extractor::FeaturePlan;
+use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -26,6 +33,8 @@ const REMEMBERED_IN_ALL: usize = 4096;
 
 /// Map sets kept in memory.
 const KEPT_MAPS: usize = 256;
+/// Plans of features kept in memory, one a kind of test and rate.
+const KEPT_PLANS: usize = 256;
 
 /// What the diagnoser can interpret: a frame names actuator, sequence and sensors by fingerprint.
 #[derive(Clone, Debug, Default)]
@@ -94,17 +103,36 @@ pub struct Status {
 }
 
 enum Maps {
+    /// saved ones are being looked for
     Wanted,
+    /// there are no saved ones; they may be made
+    Absent,
+    /// asked to be made
+    Making,
     Ready(Arc<Diagnoser>),
     Refused(String),
 }
 
-type Key = ([u8; 32], u64);
+type Key = StreamId;
 
 /// Work that a frame has made, to be done when no frame is waiting.
 enum Task {
     Provisional(Key),
     Conclude(Key),
+}
+
+fn incomplete(lacking: &[String]) -> Outcome {
+    Outcome::Incomplete {
+        reason: lacking.join("; "),
+        area: None,
+    }
+}
+
+/// What can be said without maps: the features, and what is lacking.
+fn without_maps(mut lacking: Vec<String>, x: &FeatureExtractor) -> Diagnosis {
+    lacking.extend(x.missing());
+    let features = Features::over(&x.features(), &RawFeatures::default());
+    Diagnosis::without_maps(incomplete(&lacking), features)
 }
 
 /// The state of all streams.
@@ -116,7 +144,9 @@ pub struct Live {
     plans: HashMap<(u64, u64, u64, bool), Arc<FeaturePlan>>,
     maps: HashMap<MapKey, Maps>,
     wishes: Vec<MapKey>,
+    to_make: Vec<MapKey>,
     reports: Vec<Report>,
+    concluded: Concluded,
     /// frames that no stream could be found for, and why the last one
     strays: u64,
     last_stray: String,
@@ -130,6 +160,11 @@ impl Live {
             tasks: VecDeque::with_capacity(1024),
             ..Self::default()
         }
+    }
+
+    /// Streams that have had their final diagnosis from an earlier process: they get no other one.
+    pub fn already_concluded(&mut self, streams: impl IntoIterator<Item = StreamId>) {
+        streams.into_iter().for_each(|s| self.concluded.insert(s));
     }
 
     /// Takes a frame, in place.
@@ -155,7 +190,7 @@ impl Live {
                 match self.tracks.get_mut(&key) {
                     Some(t) if header.schema_version == schemas::SCHEMA_VERSION => t.damaged(header.frame, text),
                     _ => {
-                        self.strays += 1;
+                        self.strays = self.strays.saturating_add(1);
                         self.last_stray = format!("process {}: {text}", header.process);
                     }
                 }
@@ -188,7 +223,9 @@ impl Live {
         let run = header.description();
         let sequence = self.known.sequence(&run.sequence).cloned();
         let mut track = Track::new(header, sequence, publisher, now_ns);
-        if let Err(why) = self.prepare(&mut track) {
+        if self.concluded.contains(&(header.actuator, header.stream)) {
+            track.stay_silent();
+        } else if let Err(why) = self.prepare(&mut track) {
             track.give_up(why);
         }
         // who else sends this actuator?
@@ -270,6 +307,9 @@ impl Live {
             run.rate_hz.to_bits(),
             equivalent,
         );
+        if self.plans.len() >= KEPT_PLANS {
+            self.plans.clear();
+        }
         let plan = self
             .plans
             .entry(id)
@@ -297,6 +337,7 @@ impl Live {
             self.wishes.push(wish.clone());
             self.maps.insert(wish, Maps::Wanted);
         }
+        self.make_if_worth_it(key);
         let track = self.tracks.get_mut(&key).expect("called with a track");
         let Some(x) = track.extractor().filter(|_| !track.is_final()) else {
             return;
@@ -345,8 +386,9 @@ impl Live {
         if !track.is_due() {
             return;
         }
+        self.make_if_worth_it(key);
+        let track = self.tracks.get_mut(&key).expect("called with a track");
         let mut lacking = track.notes();
-        let nothing = |reason: String| Outcome::Incomplete { reason, area: None };
         let diagnosis = match (track.extractor(), track.maps()) {
             (Some(x), Some(k)) => match self.maps.get(k) {
                 Some(Maps::Ready(diagnoser)) => {
@@ -363,9 +405,11 @@ impl Live {
                 }
                 Some(Maps::Refused(why)) => {
                     lacking.push(why.clone());
-                    lacking.extend(x.missing());
-                    let features = Features::over(&x.features(), &RawFeatures::default());
-                    Diagnosis::without_maps(nothing(lacking.join("; ")), features)
+                    without_maps(lacking, x)
+                }
+                Some(Maps::Absent) => {
+                    lacking.push(making::why_not_made(track, k));
+                    without_maps(lacking, x)
                 }
                 // a diagnosis follows when they come
                 _ => return,
@@ -374,12 +418,11 @@ impl Live {
                 if !track.begins() {
                     lacking.insert(0, "sample 1 is missing: the rotor angle at rest is unknown".into());
                 }
-                lacking.extend(x.missing());
-                let features = Features::over(&x.features(), &RawFeatures::default());
-                Diagnosis::without_maps(nothing(lacking.join("; ")), features)
+                without_maps(lacking, x)
             }
-            (None, _) => Diagnosis::without_maps(nothing(lacking.join("; ")), Features::default()),
+            (None, _) => Diagnosis::without_maps(incomplete(&lacking), Features::default()),
         };
+        self.concluded.insert(key);
         self.reports.push(track.finish(diagnosis));
     }
 
@@ -390,6 +433,11 @@ impl Live {
             Err(why) => Maps::Refused(why),
         };
         self.maps.insert(key.clone(), state);
+        self.go_on_with(key);
+    }
+
+    /// Goes on with the streams that have been waiting for news of these maps.
+    fn go_on_with(&mut self, key: &MapKey) {
         let waiting: Vec<Key> = self
             .tracks
             .iter()
@@ -408,7 +456,7 @@ impl Live {
         let used = |k: &MapKey| tracks.values().any(|t| !t.is_final() && t.maps() == Some(k));
         let many = self.maps.len() >= KEPT_MAPS;
         self.maps
-            .retain(|k, m| used(k) || !(many || matches!(m, Maps::Refused(_))));
+            .retain(|k, m| used(k) || !(many || matches!(m, Maps::Refused(_) | Maps::Absent)));
     }
 
     /// Ends streams whose publisher is gone or has been silent for `timeout_ns`.
@@ -437,7 +485,11 @@ impl Live {
 
     /// Ends all streams: nobody will take their frames any more.
     pub fn stop(&mut self) {
-        for m in self.maps.values_mut().filter(|m| matches!(m, Maps::Wanted)) {
+        for m in self
+            .maps
+            .values_mut()
+            .filter(|m| !matches!(m, Maps::Ready(_) | Maps::Refused(_)))
+        {
             *m = Maps::Refused("stopped before the maps were there".into());
         }
         let open: Vec<Key> = self
@@ -468,6 +520,17 @@ impl Live {
         self.tracks.values().any(Track::is_streaming)
     }
 
+    /// Streams that have not had their final diagnosis.
+    pub fn open_streams(&self) -> usize {
+        self.tracks.values().filter(|t| !t.is_final()).count()
+    }
+
+    /// Samples that never came, of the streams that are remembered.
+    pub fn lost_samples(&self) -> u64 {
+        let lost = self.tracks.values().map(Track::lost_samples);
+        lost.fold(0, u64::saturating_add)
+    }
+
     /// Frames that no stream could be found for, and why the last one.
     pub fn strays(&self) -> (u64, &str) {
         (self.strays, &self.last_stray)
@@ -478,7 +541,7 @@ impl Live {
         self.reports.drain(..)
     }
 
-    /// Maps asked for since the last call.
+    /// Maps asked for since the last call; the answer is [`Live::maps`] or [`Live::no_saved_maps`].
     pub fn wishes(&mut self) -> std::vec::Drain<'_, MapKey> {
         self.wishes.drain(..)
     }

@@ -1,36 +1,89 @@
 //! The log of diagnoses, written by a thread of its own: a slow or full disk never delays a
-//! diagnosis. What cannot be written is kept and tried again; what a process that died left torn
-//! is mended at the next start.
+//! diagnosis for long. What cannot be written is kept, up to a bound, and tried again; what a process that died
+//! left torn is mended at the next start.
 
+mod journal;
+mod lines;
+mod table;
+#[cfg(test)]
+mod tests;
+
+use crate::live::StreamId;
 use crate::receive::words::Complain;
-use crate::report::{Logged, to_batch};
-use arrow::array::RecordBatch;
+use crate::report::Logged;
+use lines::Lines;
 use schemas::error::{Error, Result};
-use std::fs::{File, OpenOptions};
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
+use table::Table;
 
 /// Between two tries to write what could not be written.
 const RETRY: Duration = Duration::from_secs(1);
+
+/// Diagnoses that are kept while the log cannot be written; those that come after them are dropped and counted.
+pub const MOST_KEPT: usize = if cfg!(test) { 50 } else { 10_000 };
+
+/// How long a diagnosis waits to be in its log before anything is shown of it. A log that takes longer is not
+/// waited for until it has caught up.
+const PATIENCE: Duration = Duration::from_millis(10);
+
+/// What is read from the end of an earlier log of lines [bytes], about ten thousand diagnoses.
+const MOST_READ: u64 = 16 << 20;
 
 /// A log that is being written.
 pub struct Log {
     sender: Sender<Logged>,
     thread: JoinHandle<Result<()>>,
+    backlog: Arc<Backlog>,
+    complain: Complain,
+    path: PathBuf,
+    concluded: Vec<StreamId>,
+}
+
+/// Diagnoses on their way into the log.
+#[derive(Debug, Default)]
+struct Backlog {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct State {
+    /// handed over and neither written nor dropped
+    kept: usize,
+    dropped: u64,
+    /// not waited for until nothing is kept any more
+    is_behind: bool,
+}
+
+impl Backlog {
+    fn state(&self) -> std::sync::MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+
+    fn update(&self, change: impl FnOnce(&mut State)) {
+        change(&mut self.state());
+        self.changed.notify_all();
+    }
+
+    /// Waits until all is written, but not for a log that is behind.
+    fn wait(&self) {
+        let busy = |s: &mut State| s.kept > 0 && !s.is_behind;
+        let waited = self.changed.wait_timeout_while(self.state(), PATIENCE, busy);
+        let (mut state, result) = waited.unwrap_or_else(std::sync::PoisonError::into_inner);
+        state.is_behind |= result.timed_out();
+    }
 }
 
 enum Writer {
     /// one JSON object a line
-    Lines(File),
-    /// rewritten whole: readers see all rows up to some diagnosis, never half a file
-    Table {
-        path: PathBuf,
-        rows: Vec<RecordBatch>,
-        _lock: File,
-    },
+    Lines(Lines),
+    /// Parquet
+    Table(Box<Table>),
 }
 
 fn lock(file: &File, path: &Path) -> Result<()> {
@@ -42,27 +95,9 @@ fn lock(file: &File, path: &Path) -> Result<()> {
 
 impl Writer {
     fn open(path: &Path) -> Result<Self> {
-        let cannot = |e| Error::io(path, "cannot be opened", e);
         match path.extension().and_then(|x| x.to_str()) {
-            Some("jsonl") => {
-                let options = OpenOptions::new().read(true).append(true).create(true).clone();
-                let mut file = options.open(path).map_err(cannot)?;
-                lock(&file, path)?;
-                mend(&mut file).map_err(|e| Error::io(path, "cannot be mended", e))?;
-                Ok(Self::Lines(file))
-            }
-            Some("parquet") => {
-                let name = path.file_name().unwrap_or_default().to_string_lossy();
-                let beside = path.with_file_name(format!(".{name}.lock"));
-                let lock_file = File::create(&beside).map_err(cannot)?;
-                lock(&lock_file, path)?;
-                let rows = if path.exists() { read(path)? } else { Vec::new() };
-                Ok(Self::Table {
-                    path: path.into(),
-                    rows,
-                    _lock: lock_file,
-                })
-            }
+            Some("jsonl") => Ok(Self::Lines(Lines::open(path)?)),
+            Some("parquet") => Ok(Self::Table(Box::new(Table::open(path)?))),
             _ => {
                 let allowed = "a file name ending in .jsonl or .parquet";
                 Err(Error::bad("command line", "--log", path.display(), allowed))
@@ -70,73 +105,43 @@ impl Writer {
         }
     }
 
-    /// Writes all of `list` or nothing.
+    fn concluded(&mut self) -> Vec<StreamId> {
+        match self {
+            Self::Lines(lines) => lines.concluded(),
+            Self::Table(table) => table.concluded(),
+        }
+    }
+
+    /// The file that rows go to at once.
+    fn file(&self) -> &File {
+        match self {
+            Self::Lines(lines) => lines.file(),
+            Self::Table(table) => table.file(),
+        }
+    }
+
+    /// Hands all of `list` to the system, or nothing.
     fn write(&mut self, list: &[Logged]) -> Result<(), String> {
         match self {
-            Self::Lines(file) => {
-                let mut text = String::new();
-                for l in list {
-                    text += &l.to_json().to_string();
-                    text.push('\n');
-                }
-                let before = file.metadata().map_err(|e| e.to_string())?.len();
-                let result = file.write_all(text.as_bytes()).and_then(|()| file.sync_data());
-                result.map_err(|e| {
-                    let _ = file.set_len(before);
-                    e.to_string()
-                })
-            }
-            Self::Table { path, rows, .. } => {
-                rows.push(to_batch(list));
-                let schema = rows[0].schema();
-                let all = arrow::compute::concat_batches(&schema, rows.iter()).map_err(|e| e.to_string());
-                let version = schemas::SCHEMA_VERSION.to_string();
-                let pairs = vec![("ema.schema_version".to_string(), version)];
-                let written =
-                    all.and_then(|all| schemas::recording::write_table(path, &all, pairs).map_err(|e| e.to_string()));
-                if written.is_err() {
-                    rows.pop();
-                }
-                written
-            }
+            Self::Lines(lines) => lines.write(list),
+            Self::Table(table) => table.write(list),
         }
     }
-}
 
-/// Cuts off a line that a process did not finish.
-fn mend(file: &mut File) -> std::io::Result<()> {
-    let mut bytes = Vec::new();
-    let len = file.seek(SeekFrom::End(0))?;
-    let from = len.saturating_sub(1 << 16);
-    file.seek(SeekFrom::Start(from))?;
-    Read::take(&mut *file, len - from).read_to_end(&mut bytes)?;
-    if bytes.last().is_some_and(|b| *b != b'\n') {
-        let end = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |i| i + 1);
-        if serde_json::from_slice::<serde_json::Value>(&bytes[end..]).is_ok() {
-            // whole, but for its end
-            file.write_all(b"\n")?;
-        } else {
-            file.set_len(from + end as u64)?;
+    /// When the table of a Parquet log is to be rewritten.
+    fn due(&self) -> Option<Instant> {
+        match self {
+            Self::Lines(_) => None,
+            Self::Table(table) => table.due(),
         }
     }
-    Ok(())
-}
 
-/// Rows of an earlier log; refuses other tables.
-fn read(path: &Path) -> Result<Vec<RecordBatch>> {
-    let (found, batches) = schemas::recording::read_table(path)?;
-    let schema = to_batch(&[]).schema();
-    let names = |s: &arrow::datatypes::Schema| s.fields().iter().map(|f| f.name().clone()).collect::<Vec<_>>();
-    if names(&found) != names(&schema) {
-        let file = path.display().to_string();
-        let allowed = "those of a log of diagnoses";
-        return Err(Error::bad(file, "columns", names(&found).join(","), allowed));
+    fn rewrite(&mut self) -> Result<()> {
+        match self {
+            Self::Lines(_) => Ok(()),
+            Self::Table(table) => table.rewrite(),
+        }
     }
-    let typed = |b: &RecordBatch| RecordBatch::try_new(schema.clone(), b.columns().to_vec());
-    batches
-        .iter()
-        .map(|b| typed(b).map_err(|e| Error::torn(path, e)))
-        .collect()
 }
 
 impl Log {
@@ -145,16 +150,58 @@ impl Log {
     /// # Errors
     /// Refuses another ending, a log that another process writes, and a table with other columns.
     pub fn open(path: &Path, complain: Complain) -> Result<Self> {
-        let writer = Writer::open(path)?;
+        let mut writer = Writer::open(path)?;
+        let concluded = writer.concluded();
+        let sync = syncing(writer.file(), path, &complain)?;
         let (sender, receiver) = channel();
-        let path = path.to_path_buf();
-        let thread = std::thread::spawn(move || write_all(writer, &path, &receiver, &complain));
-        Ok(Self { sender, thread })
+        let backlog = Arc::new(Backlog::default());
+        let writing = Writing {
+            writer,
+            path: path.into(),
+            sync,
+            backlog: backlog.clone(),
+            complain: complain.clone(),
+            pending: Vec::new(),
+            failing: String::new(),
+        };
+        let thread = std::thread::spawn(move || writing.run(&receiver));
+        Ok(Self {
+            sender,
+            thread,
+            backlog,
+            complain,
+            path: path.into(),
+            concluded,
+        })
     }
 
-    /// Hands a diagnosis over and returns at once.
+    /// Streams of the last diagnoses that were in the log when it was opened.
+    pub fn concluded(&self) -> Vec<StreamId> {
+        self.concluded.clone()
+    }
+
+    /// Hands a diagnosis over, and returns when it is written, but for a disk that does not answer.
     pub fn append(&self, logged: Logged) {
+        {
+            let mut state = self.backlog.state();
+            if state.kept >= MOST_KEPT {
+                if state.dropped == 0 {
+                    let p = self.path.display();
+                    (self.complain)(&format!("{p}: {MOST_KEPT} diagnoses are kept; later ones are dropped"));
+                }
+                state.dropped = state.dropped.saturating_add(1);
+                return;
+            }
+            state.kept += 1;
+        }
         let _ = self.sender.send(logged);
+        self.backlog.wait();
+    }
+
+    /// Diagnoses that are kept until they can be written, and those that were dropped.
+    pub fn backlog(&self) -> (usize, u64) {
+        let state = self.backlog.state();
+        (state.kept, state.dropped)
     }
 
     /// Writes what is left. An error says how many diagnoses are not in the log.
@@ -167,134 +214,120 @@ impl Log {
     }
 }
 
-fn write_all(mut writer: Writer, path: &Path, receiver: &Receiver<Logged>, complain: &Complain) -> Result<()> {
-    let mut pending: Vec<Logged> = Vec::new();
-    let mut failing = false;
-    loop {
-        let first = receiver.recv_timeout(if pending.is_empty() { Duration::MAX } else { RETRY });
-        let over = matches!(first, Err(RecvTimeoutError::Disconnected));
-        pending.extend(first);
-        pending.extend(receiver.try_iter());
-        let result = if pending.is_empty() {
-            Ok(())
-        } else {
-            writer.write(&pending)
-        };
-        match result {
-            Ok(()) => {
-                if failing {
-                    complain(&format!("{}: written again, nothing lost", path.display()));
-                }
-                failing = false;
-                pending.clear();
-            }
-            Err(why) => {
-                if !failing {
+/// A thread that makes the disk keep what the system has taken: a failure of the power loses no more than the
+/// last moment. A kill loses nothing that the system has taken.
+fn syncing(file: &File, path: &Path, complain: &Complain) -> Result<Sender<()>> {
+    let file = file.try_clone().map_err(|e| Error::io(path, "cannot be opened", e))?;
+    let (path, complain) = (path.to_path_buf(), complain.clone());
+    let (sender, receiver) = channel::<()>();
+    std::thread::spawn(move || {
+        let mut is_told = false;
+        while receiver.recv().is_ok() {
+            receiver.try_iter().for_each(drop);
+            match file.sync_data() {
+                Err(e) if !is_told => {
+                    is_told = true;
                     let p = path.display();
-                    complain(&format!(
-                        "{p}: cannot be written ({why}); diagnoses are kept and tried again every second"
-                    ));
+                    complain(&format!("{p}: a power failure would lose the last diagnoses ({e})"));
                 }
-                failing = true;
-                if over {
-                    for l in &pending {
-                        eprintln!("not in the log: {}", l.to_json());
-                    }
-                    let why = format!("{} diagnoses are not in it: {why}", pending.len());
-                    return Err(Error::io(path, "cannot be written", std::io::Error::other(why)));
-                }
+                _ => {}
             }
         }
-        if over {
-            return Ok(());
-        }
-    }
+    });
+    Ok(sender)
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::diagnosis::{Diagnosis, Outcome};
-    use crate::live::Report;
-    use schemas::channel::ChannelSet;
-    use schemas::feature::{Feature, Features};
-    use schemas::stream::frame::RunDescription;
-    use std::sync::Arc;
+/// The log's thread.
+struct Writing {
+    writer: Writer,
+    path: PathBuf,
+    sync: Sender<()>,
+    backlog: Arc<Backlog>,
+    complain: Complain,
+    pending: Vec<Logged>,
+    /// why the last write failed; empty where it did not
+    failing: String,
+}
 
-    fn logged(run: u64) -> Logged {
-        let outcome = Outcome::OutOfRange {
-            reason: "FSJ above 5".into(),
-        };
-        Logged {
-            report: Report {
-                run: RunDescription {
-                    actuator: "rig".into(),
-                    parameters: "fd2267d8e432540d".into(),
-                    sensors: "none".into(),
-                    sequence: "516bc48aa11e0fd0".into(),
-                    run,
-                    rate_hz: 1e4,
-                    channels: ChannelSet::basic(),
-                    total_rows: 30_000,
-                    load_n_m: 0.0,
-                },
-                stream: u64::MAX - run,
-                is_final: true,
-                diagnosis: Diagnosis::without_maps(outcome, Features::default().with(Feature::P2, Some(0.5))),
-                samples_received: 30_000,
-                samples_lost: 0,
-                telemetry_ns: 1,
-            },
-            time_ns: 2,
-            publish_ns: 3,
+impl Writing {
+    fn run(mut self, receiver: &Receiver<Logged>) -> Result<()> {
+        loop {
+            let first = receiver.recv_timeout(self.rest());
+            let over = matches!(first, Err(RecvTimeoutError::Disconnected));
+            self.pending.extend(first);
+            self.pending.extend(receiver.try_iter());
+            self.write();
+            if over {
+                return self.end();
+            }
+            if self.writer.due().is_some_and(|t| t <= Instant::now()) {
+                let done = self.writer.rewrite();
+                self.say(done.map_err(|e| e.to_string()).err());
+            }
         }
     }
 
-    fn write(path: &Path, runs: std::ops::Range<u64>) {
-        let log = Log::open(path, Arc::new(|text: &str| panic!("{text}"))).unwrap();
-        runs.for_each(|r| log.append(logged(r)));
-        log.close().unwrap();
+    /// How long there is nothing to do.
+    fn rest(&self) -> Duration {
+        let rewrite = self.writer.due().map(|t| t.saturating_duration_since(Instant::now()));
+        let retry = (!self.pending.is_empty()).then_some(RETRY);
+        // a failed rewriting waits its turn too
+        [rewrite, retry].into_iter().flatten().min().unwrap_or(Duration::MAX)
     }
 
-    #[test]
-    fn prop_a_log_goes_on_where_it_ended() {
-        let dir = std::env::temp_dir().join(format!("ema-log-{}", std::process::id()));
-        std::fs::create_dir_all(&dir).unwrap();
-        let table = dir.join("log.parquet");
-        write(&table, 0..2);
-        write(&table, 2..5);
-        let rows = arrow::compute::concat_batches(&to_batch(&[]).schema(), &read(&table).unwrap()).unwrap();
-        let expected: Vec<Logged> = (0..5).map(logged).collect();
-        assert_eq!(rows, to_batch(&expected));
-        let lines = dir.join("log.jsonl");
-        write(&lines, 0..2);
-        // a process died in the middle of a line
-        let mut torn = OpenOptions::new().append(true).open(&lines).unwrap();
-        torn.write_all(b"{\"run\":").unwrap();
-        drop(torn);
-        write(&lines, 2..3);
-        let text = std::fs::read_to_string(&lines).unwrap();
-        let runs: Vec<u64> = text
-            .lines()
-            .map(|l| {
-                serde_json::from_str::<serde_json::Value>(l).unwrap()["run"]
-                    .as_u64()
-                    .unwrap()
-            })
-            .collect();
-        assert_eq!(runs, [0, 1, 2]);
-        // another table is refused, and stays as it is
-        let other = dir.join("other.parquet");
-        std::fs::write(&other, b"PAR1 not a table").unwrap();
-        assert!(Log::open(&other, Arc::new(|_: &str| ())).is_err());
-        assert_eq!(std::fs::read(&other).unwrap(), b"PAR1 not a table");
-        // also one without rows
-        let field = arrow::datatypes::Field::new("x", arrow::datatypes::DataType::Float64, false);
-        let empty = RecordBatch::new_empty(Arc::new(arrow::datatypes::Schema::new(vec![field])));
-        let bytes = schemas::recording::table_bytes(&[empty], Vec::new()).unwrap();
-        std::fs::write(&other, &bytes).unwrap();
-        assert!(Log::open(&other, Arc::new(|_: &str| ())).is_err());
-        assert_eq!(std::fs::read(&other).unwrap(), bytes);
-        std::fs::remove_dir_all(&dir).unwrap();
+    fn write(&mut self) {
+        if self.pending.is_empty() {
+            return;
+        }
+        let result = self.writer.write(&self.pending);
+        let written = if result.is_ok() { self.pending.len() } else { 0 };
+        self.pending.drain(..written);
+        self.backlog.update(|s| {
+            s.kept = s.kept.saturating_sub(written);
+            s.is_behind = result.is_err() || (s.is_behind && s.kept > 0);
+        });
+        let _ = self.sync.send(());
+        self.say(result.err());
+    }
+
+    /// Says once that it fails, and once that it does no longer.
+    fn say(&mut self, failure: Option<String>) {
+        let p = self.path.display();
+        match failure {
+            Some(why) if self.failing.is_empty() => {
+                (self.complain)(&format!(
+                    "{p}: cannot be written ({why}); diagnoses are kept, up to {MOST_KEPT}, and tried again every second"
+                ));
+                self.failing = why;
+            }
+            Some(why) => self.failing = why,
+            None if !self.failing.is_empty() && self.pending.is_empty() => {
+                let lost = match self.backlog.state().dropped {
+                    0 => "nothing lost".to_string(),
+                    n => format!("{n} diagnoses were dropped"),
+                };
+                (self.complain)(&format!("{p}: written again, {lost}"));
+                self.failing.clear();
+            }
+            None => {}
+        }
+    }
+
+    fn end(mut self) -> Result<()> {
+        let dropped = self.backlog.state().dropped;
+        if !self.pending.is_empty() || dropped > 0 {
+            for l in &self.pending {
+                eprintln!("not in the log: {}", l.to_json());
+            }
+            let n = dropped.saturating_add(self.pending.len() as u64);
+            let why = format!("{n} diagnoses are not in it: {}", self.failing);
+            return Err(Error::io(&self.path, "cannot be written", std::io::Error::other(why)));
+        }
+        if self.writer.due().is_some() {
+            self.writer.rewrite()?;
+        }
+        let file = self.writer.file();
+        file.sync_data()
+            .map_err(|e| Error::io(&self.path, "cannot be written", e))
     }
 }

@@ -63,6 +63,22 @@ impl Hash for MapKey {
     }
 }
 
+/// A coverage that intervals can have.
+///
+/// # Errors
+/// Refuses one that is not above 0 and below 1.
+pub fn checked_coverage(coverage: f64) -> Result<f64> {
+    if coverage > 0.0 && coverage < 1.0 {
+        return Ok(coverage);
+    }
+    Err(Error::bad(
+        "command line",
+        "--coverage",
+        coverage,
+        "above 0 and below 1",
+    ))
+}
+
 /// What intervals are to be made for.
 #[derive(Clone, Debug)]
 pub struct Choice {
@@ -79,6 +95,17 @@ impl Choice {
             spread: Spread::none(),
             coverage: COVERAGE,
         }
+    }
+
+    /// * `coverage` share of tests whose true pair the intervals are to hold
+    ///
+    /// # Errors
+    /// Refuses a coverage that is not above 0 and below 1.
+    pub fn new(spread: Spread, coverage: f64) -> Result<Self> {
+        Ok(Self {
+            spread,
+            coverage: checked_coverage(coverage)?,
+        })
     }
 
     /// File of the calibration beside maps.
@@ -124,7 +151,8 @@ impl Choice {
 /// Saved map sets in folders.
 #[derive(Clone, Debug)]
 pub struct MapLibrary {
-    files: Vec<PathBuf>,
+    /// with what they are for, so that only maps that serve are read again
+    files: Vec<(PathBuf, MapSetHeader)>,
     folders: Vec<PathBuf>,
 }
 
@@ -145,10 +173,10 @@ impl MapLibrary {
                 let allowed = "maps.parquet, a folder that holds it, or a folder of such folders";
                 return Err(Error::bad(place.display().to_string(), "maps", "none", allowed));
             }
-            for f in &found {
-                FailureMapSet::load(f)?;
+            for f in found {
+                let header = FailureMapSet::load(&f)?.header;
+                files.push((f, header));
             }
-            files.extend(found);
         }
         Ok(Self {
             files,
@@ -192,10 +220,13 @@ impl MapLibrary {
 
     /// The first maps that serve, and their file.
     pub fn find(&self, key: &MapKey) -> Option<(PathBuf, FailureMapSet)> {
-        let cached = self.folders.iter().flat_map(|f| Self::files_in(f));
-        self.files
+        let serving = self
+            .files
             .iter()
-            .cloned()
+            .filter(|(_, h)| key.is_served_by(h))
+            .map(|(f, _)| f.clone());
+        let cached = self.folders.iter().flat_map(|f| Self::files_in(f));
+        serving
             .chain(cached)
             .filter_map(|f| FailureMapSet::load(&f).ok().map(|set| (f, set)))
             .find(|(_, set)| key.is_served_by(&set.header))

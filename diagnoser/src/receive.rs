@@ -1,16 +1,15 @@
 //! The live diagnoser as a process: frames from shared memory, diagnoses to a second service, to
 //! a log and to a screen.
 
+pub mod maps;
 pub mod words;
 
-use crate::diagnosis::Diagnoser;
-use crate::diagnosis::Outcome;
 use crate::live::{Known, Live};
 use crate::log::Log;
-use crate::map_library::MapKey;
 use crate::record::{Recording, record};
 use crate::report::{Logged, to_message};
 use crate::view::View;
+use maps::{MapSource, MapThreads};
 use schemas::error::{Error, Result};
 use schemas::stream::diagnosis::DiagnosisPublisher;
 use schemas::stream::subscriber::Subscriber;
@@ -18,7 +17,7 @@ use schemas::stream::{Domain, now_ns};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::channel;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use words::{Complain, Counts};
 
@@ -45,9 +44,6 @@ pub enum Show {
     Nothing,
 }
 
-/// Fetches maps: from a folder, or by making them.
-pub type MapSource = Box<dyn Fn(&MapKey) -> Result<Diagnoser, String> + Send>;
-
 /// How to run.
 pub struct Options {
     /// shared memory that streams are looked for in
@@ -66,23 +62,6 @@ pub struct Options {
     pub exit_after: Option<u64>,
     /// a stream without a frame for so long is over
     pub timeout: Duration,
-}
-
-/// Maps that were asked for, or why they cannot be had.
-type Fetched = (MapKey, Result<Diagnoser, String>);
-
-fn fetch_maps(source: MapSource) -> (Sender<MapKey>, Receiver<Fetched>) {
-    let (ask, asked) = channel::<MapKey>();
-    let (tell, told) = channel();
-    std::thread::spawn(move || {
-        for key in asked {
-            let maps = source(&key);
-            if tell.send((key, maps)).is_err() {
-                return;
-            }
-        }
-    });
-    (ask, told)
 }
 
 struct Receiving {
@@ -104,12 +83,7 @@ impl Receiving {
             let mut message = to_message(&report);
             self.diagnoses.send(&mut message)?;
             if report.is_final {
-                self.counts.diagnoses += 1;
-                match report.diagnosis.outcome {
-                    Outcome::Located(_) => self.counts.located += 1,
-                    Outcome::Incomplete { .. } => self.counts.incomplete += 1,
-                    _ => {}
-                }
+                self.counts.concluded(&report.diagnosis.outcome);
             }
             let time = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
             let logged = Logged {
@@ -117,6 +91,10 @@ impl Receiving {
                 time_ns: time.as_nanos() as i64,
                 publish_ns: message.publish_ns,
             };
+            // in the log before anybody reads of it here: a kill loses nothing that was shown
+            if let (Some(log), true) = (&self.log, logged.report.is_final) {
+                log.append(logged.clone());
+            }
             let said = match self.show {
                 // of what is known so far only an area says anything to a person
                 Show::Lines if logged.report.is_final || logged.report.diagnosis.outcome.area().is_some() => {
@@ -128,9 +106,6 @@ impl Receiving {
             if let Err(e) = said {
                 self.show = Show::Nothing;
                 self.unsaid = Some(e);
-            }
-            if let (Some(log), true) = (&self.log, logged.report.is_final) {
-                log.append(logged);
             }
         }
         let (strays, last) = self.live.strays();
@@ -200,9 +175,11 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
     if options.show == Show::Lines {
         eprintln!("waiting for telemetry (domain `{}`)", options.domain.prefix());
     }
-    let (ask, told) = fetch_maps(maps);
+    if let Some(log) = &r.log {
+        r.live.already_concluded(log.concluded());
+    }
+    let mut maps = MapThreads::start(maps);
     let timeout_ns = options.timeout.as_nanos() as u64;
-    let mut asked = 0_u64;
     let mut ticked = Instant::now();
     let mut drawn = Instant::now();
     // enough diagnoses, and the publishers have been told that all has arrived
@@ -229,7 +206,7 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
                     Ok(None) => break,
                     Err(e) => {
                         // a publisher that died while it connected, for example
-                        r.counts.failures += 1;
+                        r.counts.failures = r.counts.failures.saturating_add(1);
                         if e.to_string() != complaint {
                             complaint = e.to_string();
                             (r.complain)(&complaint);
@@ -238,21 +215,17 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
                         break;
                     }
                 };
-                r.counts.frames += 1;
+                r.counts.frames = r.counts.frames.saturating_add(1);
                 let h = frame.header();
                 let answer = r.live.frame(h, frame.payload(), frame.publisher(), &alive, now_ns());
                 r.hand_out()?;
                 if let Some(n) = answer {
                     subscriber.answer(h, n)?;
                 }
-                for key in r.live.wishes() {
-                    asked += 1;
-                    let _ = ask.send(key);
-                }
+                maps.ask(&mut r.live);
             }
-            while let Ok((key, maps)) = told.try_recv() {
-                asked -= 1;
-                r.live.maps(&key, maps.map(Arc::new));
+            while maps.tell(&mut r.live) {
+                maps.ask(&mut r.live);
                 r.hand_out()?;
             }
             if r.live.work() {
@@ -276,7 +249,7 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
                 view.show(r.live.statuses(), r.counts);
             }
             if !options.busy {
-                subscriber.wait(if asked > 0 { SLEEP_FOR_MAPS } else { SLEEP })?;
+                subscriber.wait(if maps.looking > 0 { SLEEP_FOR_MAPS } else { SLEEP })?;
             }
             Ok(())
         })();
@@ -301,9 +274,4 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
         )),
         _ => Ok(r.counts),
     }
-}
-
-/// An error of a map source in the words of the diagnosis.
-pub fn no_maps(key: &MapKey, hint: &str) -> String {
-    format!("no maps for {} ({hint})", key.describe())
 }

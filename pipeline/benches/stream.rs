@@ -3,7 +3,8 @@
 //! receivers are processes of their own (this program again, with a role).
 
 use diagnoser::live::Known;
-use diagnoser::map_library::{Choice, MapKey, MapLibrary};
+use diagnoser::map_library::{Choice, MapLibrary};
+use diagnoser::receive::maps::MapSource;
 use diagnoser::receive::{Options, Show, receive};
 use pipeline::maps::{self, MapRequest};
 use schemas::channel::{Channel, ChannelSet};
@@ -290,12 +291,9 @@ fn role_live(diagnoses: u64, busy: bool, core: Option<usize>) {
         exit_after: Some(diagnoses),
         timeout: Duration::from_secs(10),
     };
-    let source = move |key: &MapKey| {
-        let found = library.diagnoser(key, &Choice::usual());
-        found.ok_or("no maps".to_string())?.map_err(|e| e.to_string())
-    };
+    let source = MapSource::saved(library, Choice::usual(), "none in the cache");
     let start = cpu_s();
-    let counts = receive(options, Box::new(source), &Arc::new(AtomicBool::new(false))).unwrap();
+    let counts = receive(options, source, &Arc::new(AtomicBool::new(false))).unwrap();
     println!("{} {} {}", counts.located, counts.incomplete, cpu_s() - start);
 }
 

@@ -17,7 +17,7 @@ use sim_worker::dataset::one::OneActuator;
 use sim_worker::dataset::plan::DatasetPlan;
 use sim_worker::dataset::storage::Storage;
 use sim_worker::setup::TestSetup;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Hash of the sources that saved maps depend on beyond the features that they are made of.
 const SOURCE: &str = env!("EMA_SOURCE");
@@ -43,6 +43,27 @@ impl MapRequest {
     }
 }
 
+/// Folder of the cache that maps for a request are kept in.
+fn cached_in(request: &MapRequest) -> Result<PathBuf> {
+    let key = fingerprint(&format!("{};{SOURCE}", request.plan()?.fingerprint()));
+    Ok(cache_dir().join("maps").join(key))
+}
+
+/// Maps for a request from the cache, with their calibration; `None` where either is not there.
+///
+/// # Errors
+/// Refuses a grid that makes no maps, and what [`Choice::ready`] refuses.
+pub fn found(request: &MapRequest, choice: &Choice) -> Result<Option<Diagnoser>> {
+    let file = cached_in(request)?.join("maps.parquet");
+    let Ok(set) = FailureMapSet::load(&file) else {
+        return Ok(None);
+    };
+    match choice.calibration(&file, &set) {
+        Ok(Some(_)) => Ok(Some(choice.ready(&file, set, &Vec::new())?)),
+        _ => Ok(None),
+    }
+}
+
 /// Maps for a request from the cache, made and calibrated on first use.
 ///
 /// * `known` of the unit, as on the command line
@@ -50,8 +71,7 @@ impl MapRequest {
 /// # Errors
 /// As [`made`] and [`calibrated`].
 pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Diagnoser> {
-    let key = fingerprint(&format!("{};{SOURCE}", request.plan()?.fingerprint()));
-    let dir = cache_dir().join("maps").join(key);
+    let dir = cached_in(request)?;
     let set = made(&dir, request)?;
     calibrated(&dir.join("maps.parquet"), set, &request.setup, choice, known)
 }

@@ -124,6 +124,24 @@ fn refuse_bad_options_of_the_stream() {
     refused(&["replay", "x.csv", "--speed", "fast"], &["--speed", "fast", "max"]);
     refused(&["bench-live", "--frame-ms", "0"], &["--frame-ms", "0"]);
     refused(&["bench-live", "--id", ""], &["--id", "1 to 32"]);
+    refused(
+        &["bench-live", "--frame-ms", "900"],
+        &["--frame-ms", "900", "at most 819.2 ms"],
+    );
+    refused(&["live", "--exit-after", "0"], &["--exit-after", "at least 1"]);
+    refused(&["live", "--timeout", "inf"], &["--timeout", "inf", "at most 1000000"]);
+    refused(&["replay", "x.csv", "--speed", "1e-9"], &["--speed", "1e-9", "0.001"]);
+    refused(
+        &["replay", "x.csv", "--diagnosis-wait", "0"],
+        &["--diagnosis-wait", "above 0"],
+    );
+    for coverage in ["2", "1", "0", "-0.5", "NaN"] {
+        let option = format!("--coverage={coverage}");
+        for command in [&["live"][..], &["diagnose", "x.csv"], &["calibrate", "/nowhere"]] {
+            let words = ["--coverage", coverage, "above 0 and below 1"];
+            refused(&[command, &[&option]].concat(), &words);
+        }
+    }
 }
 
 /// Replays in one domain, diagnoses in another, with a bridge between; `prefix` is put before the

@@ -157,8 +157,9 @@ fn e2e_two_publishers_for_one_actuator() {
         }
         if k == 200 {
             let s = second.as_mut().unwrap();
-            // it is heard, and refused
-            assert_eq!(s.code(), Some(0), "{}", s.errors());
+            // it is heard, and refused: received, but without a diagnosis of its own
+            assert_eq!(s.code(), Some(3), "{}", s.errors());
+            assert!(s.errors().contains("is incomplete: two publishers"), "{}", s.errors());
         }
         p.publish(pass, frame).unwrap();
         true
@@ -360,4 +361,190 @@ fn e2e_soak_of_a_few_kills() {
     let seen = ema_tests::soak::soak(&soak, 12, 7, |_| ());
     println!("{seen:?}");
     assert_eq!(seen.faults(), Vec::<String>::new());
+}
+
+/// A subscriber that answers everything, and calls itself a diagnoser without ever giving a diagnosis.
+fn mute_diagnoser(domain: &TestDomain, until_end: bool) -> std::thread::JoinHandle<()> {
+    use schemas::stream::diagnosis::DiagnosisPublisher;
+    use schemas::stream::frame::{END, SAMPLES};
+    use schemas::stream::subscriber::Subscriber;
+    let domain = domain.open();
+    let subscriber = Subscriber::open(&domain).unwrap();
+    let diagnoses = DiagnosisPublisher::open(&domain, subscriber.node()).unwrap();
+    std::thread::spawn(move || {
+        let (start, mut frames) = (std::time::Instant::now(), 0);
+        while start.elapsed() < LIMIT {
+            while let Some(f) = subscriber.receive().unwrap() {
+                let h = *f.header();
+                match h.kind {
+                    SAMPLES => frames += 1,
+                    _ => subscriber.answer(&h, frames).unwrap(),
+                }
+                if h.kind == END && until_end {
+                    // killed after the last answer: the frames are read, the diagnosis never comes
+                    std::thread::sleep(Duration::from_millis(300));
+                    drop(diagnoses);
+                    return;
+                }
+                if h.kind == END {
+                    std::thread::sleep(Duration::from_secs(3));
+                    return;
+                }
+            }
+            subscriber.wait(Duration::from_millis(20)).unwrap();
+        }
+    })
+}
+
+#[test]
+fn e2e_received_is_not_diagnosed() {
+    let file = recording().0.to_str().unwrap().to_string();
+    let replayed = |domain: &TestDomain, more: &[&str]| {
+        let mut p = Program::start(ema(domain, &[&["replay", &file, "--speed", "max"], more].concat()));
+        let code = p.code();
+        (code, p.errors(), p.lines())
+    };
+    // the diagnoser goes after the last answer
+    let domain = TestDomain::default();
+    let mute = mute_diagnoser(&domain, true);
+    let (code, errors, _) = replayed(&domain, &[]);
+    assert_eq!(code, Some(3), "{errors}");
+    assert!(
+        errors.contains("received by 1, but not diagnosed: the diagnoser has gone"),
+        "{errors}"
+    );
+    assert_eq!(errors.lines().count(), 1, "{errors}");
+    mute.join().unwrap();
+    // it stays, and says nothing
+    let mute = mute_diagnoser(&domain, false);
+    let (code, errors, _) = replayed(&domain, &["--diagnosis-wait", "0.5"]);
+    assert_eq!(code, Some(3), "{errors}");
+    assert!(errors.contains("no final diagnosis within 0.5 s"), "{errors}");
+    mute.join().unwrap();
+    // nobody asked
+    let mute = mute_diagnoser(&domain, false);
+    let (code, errors, lines) = replayed(&domain, &["--diagnosis", "off"]);
+    assert_eq!(code, Some(0), "{errors}");
+    assert!(lines[0].ends_with("received by 1"), "{lines:?}");
+    mute.join().unwrap();
+    // and with a diagnoser that does its work
+    let mut live = live(&domain, &["--exit-after", "1"]);
+    let (code, errors, lines) = replayed(&domain, &["--diagnosis", "required"]);
+    assert_eq!(code, Some(0), "{errors}");
+    assert!(lines[0].ends_with("received by 1; located"), "{lines:?}");
+    assert_eq!(live.code(), Some(0), "{}", live.errors());
+}
+
+/// Killed after its final diagnosis, and started again before the stream has ended.
+#[test]
+fn e2e_a_restart_gives_no_second_diagnosis_of_a_stream() {
+    let (_, offline) = recording();
+    let domain = TestDomain::default();
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["log.parquet", "log.jsonl"] {
+        let log = dir.path().join(name);
+        let args = ["--log", log.to_str().unwrap()];
+        let mut first = live(&domain, &args);
+        let mut second = None;
+        let (telemetry, about) = take();
+        let mut p = publisher(&domain);
+        send(&mut p, &telemetry, &about, |k, p, pass, frame| {
+            if k == 295 {
+                // what was shown is in the log, whatever happens now
+                first.until("final", LIMIT, |l| !finals(l).is_empty());
+                first.kill();
+                second = Some(live(&domain, &[&args[..], &["--exit-after", "1"]].concat()));
+            }
+            p.publish(pass, frame).unwrap();
+            true
+        });
+        let again = RunDescription { run: 6, ..about };
+        send(&mut p, &telemetry, &again, plain);
+        let mut second = second.unwrap();
+        assert_eq!(second.code(), Some(0), "{}", second.errors());
+        let finals = finals(&second);
+        assert_eq!(finals.len(), 1, "{finals:?}");
+        assert_eq!(finals[0]["run"], 6);
+        same(offline, &finals[0]);
+        assert_eq!(logged_runs(&log), [5, 6]);
+    }
+}
+
+/// Numbers of the runs in a log.
+fn logged_runs(log: &Path) -> Vec<u64> {
+    if log.extension().is_some_and(|x| x == "jsonl") {
+        let text = std::fs::read_to_string(log).unwrap();
+        let runs = text
+            .lines()
+            .map(|l| serde_json::from_str::<Value>(l).unwrap()["run"].as_u64().unwrap());
+        return runs.collect();
+    }
+    let mut runs = Vec::new();
+    for batch in schemas::recording::read_batches(log).unwrap() {
+        let column = batch.column_by_name("run").unwrap();
+        let column = column.as_any().downcast_ref::<arrow::array::UInt64Array>().unwrap();
+        runs.extend(column.values());
+    }
+    runs
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for e in std::fs::read_dir(from).unwrap().flatten() {
+        let target = to.join(e.file_name());
+        match e.file_type().unwrap().is_dir() {
+            true => copy(&e.path(), &target),
+            false => drop(std::fs::copy(e.path(), target).unwrap()),
+        }
+    }
+}
+
+#[test]
+fn e2e_making_maps_holds_nobody_up() {
+    let (_, offline) = recording();
+    let domain = TestDomain::default();
+    let dir = tempfile::tempdir().unwrap();
+    // the maps of the honest run, and no others
+    copy(&cache().join("maps"), &dir.path().join("maps"));
+    let started = |args: &[&str]| {
+        let mut c = ema(&domain, &[&["live", "--json"], args].concat());
+        c.env("EMA_CACHE_DIR", dir.path());
+        Program::start(c)
+    };
+    let (telemetry, about) = take();
+    let odd = |k: u64| RunDescription {
+        actuator: format!("odd-{k}"),
+        run: 100 + k,
+        rate_hz: 9000.25 + k as f64,
+        ..about.clone()
+    };
+    let mut p = publisher(&domain);
+    let mut live = started(&[]);
+    for k in 0..6 {
+        // eight samples, and the end
+        let mut pass = p.begin(&odd(k), LIMIT, &|| true).unwrap().unwrap();
+        let block = telemetry.view().slice(0, 8);
+        let mut frame = p.loan(&pass, block.first, block.rows).unwrap();
+        frame.view_mut().copy_from(&block);
+        p.publish(&mut pass, frame).unwrap();
+        p.end(&pass, LIMIT, &|| true).unwrap();
+    }
+    // a whole test that maps have to be made for, then one whose maps are there
+    send(&mut p, &telemetry, &odd(6), plain);
+    send(&mut p, &telemetry, &about, plain);
+    live.until("honest diagnosis", LIMIT, |l| finals(l).iter().any(|v| v["run"] == 5));
+    let said = finals(&live);
+    let of = |run: u64| said.iter().find(|v| v["run"] == run);
+    same(offline, of(5).unwrap());
+    for k in 0..6 {
+        incomplete(of(100 + k).unwrap(), &["none are made for 8 samples"]);
+    }
+    // they are being made still
+    assert!(of(106).is_none(), "{said:?}");
+    live.kill();
+    // and are not made where that is switched off
+    let mut live = started(&["--no-make", "--exit-after", "1"]);
+    send(&mut p, &telemetry, &odd(6), plain);
+    assert_eq!(live.code(), Some(3), "{}", live.errors());
+    incomplete(&finals(&live)[0], &["no maps for", "--no-make"]);
 }

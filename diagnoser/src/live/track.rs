@@ -178,6 +178,21 @@ impl Track {
         is_news
     }
 
+    /// It has had its final diagnosis before, from another process.
+    pub fn stay_silent(&mut self) {
+        self.stage = Stage::Final;
+    }
+
+    /// Samples taken, and what makes a whole test of its sequence at its rate.
+    pub fn progress(&self) -> (u64, u64) {
+        let whole = self.extractor.as_ref().map_or(0, |x| x.plan().rows);
+        (self.received, whole)
+    }
+
+    pub fn lost_samples(&self) -> u64 {
+        self.lost_samples
+    }
+
     /// It cannot be diagnosed, or not to its end: why.
     pub fn give_up(&mut self, why: String) {
         self.fault(why);
@@ -192,7 +207,7 @@ impl Track {
 
     /// A frame that cannot be read.
     pub fn damaged(&mut self, frame: u64, what: String) {
-        self.next_frame = self.next_frame.max(frame + 1);
+        self.next_frame = self.next_frame.max(frame.saturating_add(1));
         self.fault(what);
     }
 
@@ -218,7 +233,7 @@ impl Track {
             self.fault(format!("{n} frames lost before the last one"));
         }
         self.is_unbroken &= header.frame == self.next_frame;
-        self.next_frame = header.frame + 1;
+        self.next_frame = header.frame.saturating_add(1);
         if !is_end {
             self.whole_frames += u64::from(self.is_unbroken);
             return Arrival::Samples;
@@ -227,7 +242,7 @@ impl Track {
         if !self.is_final() {
             self.telemetry_ns = header.publish_ns;
             if !self.is_unbroken {
-                self.skip_to(self.run.total_rows + 1);
+                self.skip_to(self.run.total_rows.saturating_add(1));
             }
             self.make_due();
         }
@@ -272,7 +287,7 @@ impl Track {
     }
 
     fn fault(&mut self, what: String) {
-        self.fault_count += 1;
+        self.fault_count = self.fault_count.saturating_add(1);
         if self.faults.len() < NAMED {
             self.faults.push(what);
         }
@@ -314,7 +329,7 @@ impl Track {
                     to: first - 1,
                 });
             }
-            self.lost_samples += first - self.next_sample;
+            self.lost_samples = self.lost_samples.saturating_add(first - self.next_sample);
             self.next_sample = first;
         }
     }

@@ -50,11 +50,8 @@ pub fn calibrate(a: &CalibrateArgs) -> Result<ExitCode> {
     } else {
         a.maps.clone()
     };
+    let choice = Choice::new(sim_worker::catalogue::spread(&a.spread)?, a.coverage)?;
     let set = FailureMapSet::load(&file)?;
-    let choice = Choice {
-        spread: sim_worker::catalogue::spread(&a.spread)?,
-        coverage: a.coverage,
-    };
     let sequence = sim_worker::catalogue::sequence(a.sequence.as_deref().unwrap_or(&set.header.sequence))?;
     let usual = if set.header.kind.sensors == "none" {
         "none"

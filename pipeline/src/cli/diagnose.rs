@@ -153,6 +153,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     } else {
         sim_worker::catalogue::spread(&a.spread)?
     };
+    let choice = Choice::new(spread, a.coverage)?;
     let settings = Settings {
         actuator,
         maps: a.maps.clone(),
@@ -160,10 +161,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         sequence: a.recording.sequence.clone(),
         sensors: a.recording.sensors.clone(),
         grid: sim_worker::catalogue::grid(&a.grid)?,
-        choice: Choice {
-            spread,
-            coverage: a.coverage,
-        },
+        choice,
         known: a.known.clone(),
     };
     let case = case::run(&a.file, &settings)?;

@@ -26,7 +26,7 @@ const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("EMA_COMMIT"
 
 const EXIT_CODES: &str = "Exit codes: 0 done (a diagnosis that finds no fault pair is a finding, not an error) \
     | 1 unforeseen failure, for example a full disk | 2 wrong command line \
-    | 3 finished with loss: the diagnosis is incomplete | 4 bad input: one line says file, place, value found and what \
+    | 3 finished with loss: the diagnosis is incomplete, or a replay was not received or not diagnosed | 4 bad input: one line says file, place, value found and what \
     is allowed | 130 interrupted; what is done is kept";
 
 #[derive(Parser)]

@@ -5,15 +5,14 @@ use super::{ActuatorArg, RecordingArgs, say};
 use crate::case::Settings;
 use crate::maps::{self, MapRequest};
 use crate::progress::interrupted;
-use crate::replay::{Delivered, Replay};
+use crate::replay::{Await, Delivered, Replay, Verdict};
 use crate::{bench_live, bridge};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::cli::{DomainArg, LiveArgs};
-use diagnoser::diagnosis::Diagnoser;
 use diagnoser::live::Known;
 use diagnoser::map_library::{Choice, MapKey, MapLibrary};
-use diagnoser::receive::{MapSource, no_maps};
+use diagnoser::receive::maps::{MapSource, no_maps};
 use rand::{RngExt, SeedableRng};
 use schemas::channel::ChannelSet;
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error};
@@ -35,48 +34,85 @@ pub struct LiveCommand {
     /// Grid of maps made on first use
     #[arg(long, default_value = "fine")]
     grid: String,
+    /// Make no maps: a test without saved ones is incomplete
+    #[arg(long)]
+    no_make: bool,
 }
 
 pub fn live(a: &LiveCommand) -> Result<ExitCode> {
     let (known, models) = a.live.known()?;
     let grid = sim_worker::catalogue::grid(&a.grid)?;
     let choice = a.live.choice()?;
-    let source: MapSource = if a.live.maps.is_empty() {
+    let source = if a.live.maps.is_empty() {
         // the live view owns the terminal
         crate::progress::be_quiet();
-        let known = known.clone();
-        Box::new(move |key| make_maps(key, &known, &models, &grid, &choice))
+        let maker = Maker {
+            known: known.clone(),
+            models,
+            grid,
+            choice,
+        };
+        maker.source(a.no_make)
     } else {
-        let library = MapLibrary::open(&a.live.maps)?;
-        let hint = "leave out --maps to have them made, or make them with `ema maps`";
-        Box::new(move |key| match library.diagnoser(key, &choice) {
-            Some(found) => found.map_err(|e| e.to_string()),
-            None => Err(no_maps(key, hint)),
-        })
+        let hint = match a.no_make {
+            true => "make them with `ema maps`",
+            false => "leave out --maps to have them made, or make them with `ema maps`",
+        };
+        MapSource::saved(MapLibrary::open(&a.live.maps)?, choice, hint)
     };
     let stop: Arc<AtomicBool> = crate::progress::interrupt_flag();
     Ok(ExitCode::from(a.live.run(known, source, &stop)?))
 }
 
-/// Maps from the cache, made on first use.
-fn make_maps(
-    key: &MapKey,
-    known: &Known,
-    models: &[SensorModel],
-    grid: &FaultGrid,
-    choice: &Choice,
-) -> Result<Diagnoser, String> {
-    let kind = key.kind();
-    let actuator = known.actuators.iter().find(|a| a.fingerprint() == kind.parameters);
-    let sequence = known.sequences.iter().find(|s| s.fingerprint() == kind.sequence);
-    let (Some(actuator), Some(sequence)) = (actuator, sequence) else {
-        return Err(no_maps(key, "actuator or sequence is unknown"));
-    };
-    let sensors = models.iter().find(|m| m.fingerprint() == kind.sensors).cloned();
-    let setup = TestSetup::of(kind, actuator.clone(), sequence.clone(), sensors);
-    let grid = grid.clone();
-    let request = MapRequest { setup, grid };
-    maps::cached(&request, choice, &Vec::new()).map_err(|e| format!("{e:#}"))
+/// Finds maps in the cache, and makes them.
+#[derive(Clone)]
+struct Maker {
+    known: Known,
+    models: Vec<SensorModel>,
+    grid: FaultGrid,
+    choice: Choice,
+}
+
+impl Maker {
+    fn source(self, no_make: bool) -> MapSource {
+        let maker = self.clone();
+        let find = move |key: &MapKey| {
+            let found = maker.request(key).and_then(|r| told(maps::found(&r, &maker.choice)));
+            found.transpose()
+        };
+        let make = move |key: &MapKey| {
+            let request = self.request(key)?;
+            told(maps::cached(&request, &self.choice, &Vec::new()))
+        };
+        let forbidden = "making is switched off (--no-make); make them with `ema maps` and name them with --maps";
+        MapSource {
+            find: Box::new(find),
+            make: if no_make {
+                Err(forbidden.into())
+            } else {
+                Ok(Box::new(make))
+            },
+        }
+    }
+
+    /// The maps of a test, as they are named in the cache.
+    fn request(&self, key: &MapKey) -> Result<MapRequest, String> {
+        let kind = key.kind();
+        let actuator = self.known.actuators.iter().find(|a| a.fingerprint() == kind.parameters);
+        let sequence = self.known.sequences.iter().find(|s| s.fingerprint() == kind.sequence);
+        let (Some(actuator), Some(sequence)) = (actuator, sequence) else {
+            return Err(no_maps(key, "actuator or sequence is unknown"));
+        };
+        let sensors = self.models.iter().find(|m| m.fingerprint() == kind.sensors).cloned();
+        let setup = TestSetup::of(kind, actuator.clone(), sequence.clone(), sensors);
+        let grid = self.grid.clone();
+        Ok(MapRequest { setup, grid })
+    }
+}
+
+/// An error as one line of text.
+fn told<T>(result: Result<T>) -> Result<T, String> {
+    result.map_err(|e| format!("{e:#}"))
 }
 
 #[derive(Args)]
@@ -93,6 +129,13 @@ pub struct ReplayArgs {
     /// How long to wait for a subscriber [s]
     #[arg(long, default_value_t = 30.0)]
     wait: f64,
+    /// Wait for the final diagnosis of every run that has been received; without one, or with an incomplete one,
+    /// the exit code is 3. auto: where a diagnoser is in the domain
+    #[arg(long, value_enum, default_value_t = Await::Auto)]
+    diagnosis: Await,
+    /// How long to wait for the diagnosis [s]
+    #[arg(long, default_value_t = 120.0, value_name = "S")]
+    diagnosis_wait: f64,
     /// Name of the actuator in the frames, instead of the recording's
     #[arg(long)]
     id: Option<String>,
@@ -128,8 +171,9 @@ pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
         "max" => None,
         text => {
             let x: f64 = text.parse().unwrap_or(f64::NAN);
-            if !(x.is_finite() && x > 0.0) {
-                return Err(Error::bad("command line", "--speed", text, "a number above 0, or max").into());
+            if !(1e-3..=1e6).contains(&x) {
+                let allowed = "a number from 0.001 to 1000000, or max";
+                return Err(Error::bad("command line", "--speed", text, allowed).into());
             }
             Some(x)
         }
@@ -154,34 +198,48 @@ pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
         speed,
         frame_s: positive("--frame-ms", a.frame_ms, 1000.0)? * 1e-3,
         patience: Duration::from_secs_f64(positive("--wait", a.wait, 1e6)?),
+        diagnosis: a.diagnosis,
+        diagnosis_patience: Duration::from_secs_f64(positive("--diagnosis-wait", a.diagnosis_wait, 1e6)?),
     };
-    let all = replay.files(&a.files, &|| !interrupted(), |d: &Delivered| {
-        let Delivered {
-            actuator,
-            run,
-            samples,
-            frames,
-            whole,
-            attempts,
-        } = d;
-        let again = if *attempts > 1 {
-            format!(", at the {attempts}. attempt")
-        } else {
-            String::new()
-        };
-        if *whole > 0 {
-            say(&format!(
-                "{actuator} run {run}: {samples} samples in {frames} frames received by {whole}{again}"
-            ));
-        } else {
-            eprintln!("{actuator} run {run}: not received: nobody has answered{again}");
-        }
-    })?;
+    let all = replay.files(&a.files, &|| !interrupted(), tell)?;
     Ok(if all {
         ExitCode::SUCCESS
     } else {
         ExitCode::from(EXIT_LOSS)
     })
+}
+
+/// Says what has become of a run: a line, on standard error where something is missing.
+fn tell(d: &Delivered) {
+    let Delivered {
+        actuator,
+        run,
+        samples,
+        frames,
+        whole,
+        attempts,
+        verdict,
+    } = d;
+    let again = if *attempts > 1 {
+        format!(", at the {attempts}. attempt")
+    } else {
+        String::new()
+    };
+    let name = format!("{actuator} run {run}");
+    let received = format!("{name}: {samples} samples in {frames} frames received by {whole}{again}");
+    match verdict {
+        Verdict::Diagnosed(outcome) if *whole == 0 => {
+            say(&format!("{name}: {outcome}; its end was received by nobody{again}"));
+        }
+        _ if *whole == 0 => eprintln!("{name}: not received: nobody has answered{again}"),
+        Verdict::NotAwaited => say(&received),
+        Verdict::NobodyThere => say(&format!(
+            "{received}; whether it is diagnosed is not known: no diagnoser here"
+        )),
+        Verdict::Diagnosed(outcome) => say(&format!("{received}; {outcome}")),
+        Verdict::Incomplete(why) => eprintln!("{received}, but its diagnosis is incomplete: {why}"),
+        Verdict::Missing(why) => eprintln!("{received}, but not diagnosed: {why}"),
+    }
 }
 
 #[derive(Args)]
@@ -238,9 +296,7 @@ pub fn bench_live(a: &BenchLiveArgs) -> Result<ExitCode> {
     let sequence = sim_worker::catalogue::sequence(&a.sequence)?;
     let sensors = sim_worker::catalogue::sensors(&a.sensors)?;
     let experiment = Experiment::new(sequence, a.rate, ChannelSet::basic(), sensors, actuator.step_s)?;
-    let rows = (positive("--frame-ms", a.frame_ms, 1000.0)? * 1e-3 * a.rate)
-        .round()
-        .max(1.0) as usize;
+    let rows = crate::replay::frame_rows(positive("--frame-ms", a.frame_ms, 1000.0)? * 1e-3, a.rate)?;
     let names: Vec<String> = match a.actuators {
         1 => vec![a.id.clone()],
         n => (1..=n).map(|i| format!("{}-{i:03}", a.id)).collect(),
@@ -263,7 +319,10 @@ pub fn bench_live(a: &BenchLiveArgs) -> Result<ExitCode> {
                     rest_angle_rad,
                     load_n_m,
                 },
-                seed: a.seed + number * names.len() as u64 + i,
+                seed: a
+                    .seed
+                    .wrapping_add(number.wrapping_mul(names.len() as u64))
+                    .wrapping_add(i),
             })
             .collect();
         let go_on = || !interrupted();

@@ -150,6 +150,8 @@ impl DiagnosisPublisher {
 
 /// Receives diagnoses.
 pub struct DiagnosisSubscriber {
+    service: Factory,
+    domain: Domain,
     port: iceoryx2::port::subscriber::Subscriber<Ipc, DiagnosisMessage, ()>,
     listener: iceoryx2::port::listener::Listener<Ipc>,
     _node: Node<Ipc>,
@@ -174,8 +176,17 @@ impl DiagnosisSubscriber {
                 .listener_builder()
                 .create()
                 .map_err(|e| failed(DIAGNOSIS, "no listener", e))?,
+            service,
+            domain: domain.clone(),
             _node: node,
         })
+    }
+
+    /// Diagnosers that are alive; what dead ones left is removed.
+    pub fn publishers(&self) -> usize {
+        use iceoryx2::service::port_factory::PortFactory;
+        self.domain.clean();
+        self.service.dynamic_config().number_of_publishers()
     }
 
     /// The next diagnosis, or `None` when `timeout` is over.
