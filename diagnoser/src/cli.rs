@@ -82,6 +82,9 @@ pub struct LiveArgs {
     /// A stream without a frame for so long is over [s]
     #[arg(long, default_value_t = 10.0, value_name = "S")]
     timeout: f64,
+    /// Write numbers for monitoring to this file every five seconds, in the text format of Prometheus
+    #[arg(long, value_name = "FILE")]
+    metrics: Option<PathBuf>,
 }
 
 impl LiveArgs {
@@ -157,6 +160,7 @@ impl LiveArgs {
             show,
             exit_after: self.exit_after,
             timeout: Duration::from_secs_f64(self.timeout),
+            metrics: self.metrics.clone(),
         };
         let counts: Counts = receive(options, maps, stop)?;
         let Counts {

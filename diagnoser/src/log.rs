@@ -38,6 +38,7 @@ const MOST_READ: u64 = 16 << 20;
 pub struct Log {
     sender: Sender<Logged>,
     thread: JoinHandle<Result<()>>,
+    syncing: JoinHandle<()>,
     backlog: Arc<Backlog>,
     complain: Complain,
     path: PathBuf,
@@ -152,7 +153,7 @@ impl Log {
     pub fn open(path: &Path, complain: Complain) -> Result<Self> {
         let mut writer = Writer::open(path)?;
         let concluded = writer.concluded();
-        let sync = syncing(writer.file(), path, &complain)?;
+        let (sync, syncing) = syncing(writer.file(), path, &complain)?;
         let (sender, receiver) = channel();
         let backlog = Arc::new(Backlog::default());
         let writing = Writing {
@@ -168,6 +169,7 @@ impl Log {
         Ok(Self {
             sender,
             thread,
+            syncing,
             backlog,
             complain,
             path: path.into(),
@@ -210,17 +212,20 @@ impl Log {
     /// Fails where the rest cannot be written; it is printed to standard error.
     pub fn close(self) -> Result<()> {
         drop(self.sender);
-        self.thread.join().expect("the log's thread does not panic")
+        let result = self.thread.join().expect("the log's thread does not panic");
+        // it holds the file, and with it the lock
+        let _ = self.syncing.join();
+        result
     }
 }
 
 /// A thread that makes the disk keep what the system has taken: a failure of the power loses no more than the
 /// last moment. A kill loses nothing that the system has taken.
-fn syncing(file: &File, path: &Path, complain: &Complain) -> Result<Sender<()>> {
+fn syncing(file: &File, path: &Path, complain: &Complain) -> Result<(Sender<()>, JoinHandle<()>)> {
     let file = file.try_clone().map_err(|e| Error::io(path, "cannot be opened", e))?;
     let (path, complain) = (path.to_path_buf(), complain.clone());
     let (sender, receiver) = channel::<()>();
-    std::thread::spawn(move || {
+    let thread = std::thread::spawn(move || {
         let mut is_told = false;
         while receiver.recv().is_ok() {
             receiver.try_iter().for_each(drop);
@@ -234,7 +239,7 @@ fn syncing(file: &File, path: &Path, complain: &Complain) -> Result<Sender<()>> 
             }
         }
     });
-    Ok(sender)
+    Ok((sender, thread))
 }
 
 /// The log's thread.

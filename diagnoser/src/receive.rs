@@ -2,6 +2,7 @@
 //! a log and to a screen.
 
 pub mod maps;
+mod observer;
 pub mod words;
 
 use crate::live::{Known, Live};
@@ -10,6 +11,7 @@ use crate::record::{Recording, record};
 use crate::report::{Logged, to_message};
 use crate::view::View;
 use maps::{MapSource, MapThreads};
+use observer::{Observer, State};
 use schemas::error::{Error, Result};
 use schemas::stream::diagnosis::DiagnosisPublisher;
 use schemas::stream::subscriber::Subscriber;
@@ -62,6 +64,8 @@ pub struct Options {
     pub exit_after: Option<u64>,
     /// a stream without a frame for so long is over
     pub timeout: Duration,
+    /// file that numbers for monitoring are written to, again and again
+    pub metrics: Option<PathBuf>,
 }
 
 struct Receiving {
@@ -77,6 +81,20 @@ struct Receiving {
 }
 
 impl Receiving {
+    /// For monitoring.
+    fn state(&self) -> State {
+        let (log_kept, log_dropped) = self.log.as_ref().map_or((0, 0), Log::backlog);
+        State {
+            counts: self.counts,
+            open_streams: self.live.open_streams() as u64,
+            lost_samples: self.live.lost_samples(),
+            ready_maps: self.live.ready_maps() as u64,
+            making: self.live.making() as u64,
+            log_kept: log_kept as u64,
+            log_dropped,
+        }
+    }
+
     /// Publishes, then logs and shows, what has been found.
     fn hand_out(&mut self) -> Result<()> {
         for report in self.live.reports() {
@@ -182,6 +200,10 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
     let timeout_ns = options.timeout.as_nanos() as u64;
     let mut ticked = Instant::now();
     let mut drawn = Instant::now();
+    // nothing moves without a frame or a diagnosis
+    let mut shown = None;
+    let mut observer = Observer::new(options.metrics.clone(), r.complain.clone());
+    observer.ready();
     // enough diagnoses, and the publishers have been told that all has arrived
     let mut enough_since: Option<Instant> = None;
     let mut enough = |r: &Receiving| {
@@ -236,6 +258,7 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
             if ticked.elapsed() > TICK {
                 ticked = Instant::now();
                 r.diagnoses.welcome();
+                observer.tick(&r.state());
                 if r.live.is_waiting(now_ns(), TICK.as_nanos() as u64) {
                     let alive = subscriber.publishers();
                     r.live.tick(now_ns(), timeout_ns, &|p| alive.contains(&p));
@@ -244,8 +267,10 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
             }
             if let Some(view) = &view
                 && drawn.elapsed() > PICTURE
+                && shown != Some(r.counts)
             {
                 drawn = Instant::now();
+                shown = Some(r.counts);
                 view.show(r.live.statuses(), r.counts);
             }
             if !options.busy {

@@ -290,6 +290,7 @@ fn role_live(diagnoses: u64, busy: bool, core: Option<usize>) {
         show: Show::Nothing,
         exit_after: Some(diagnoses),
         timeout: Duration::from_secs(10),
+        metrics: None,
     };
     let source = MapSource::saved(library, Choice::usual(), "none in the cache");
     let start = cpu_s();
