@@ -1,5 +1,7 @@
-//! One error for everything that comes from outside.
+//! One error for everything that comes from outside. What it shows holds no control characters, wherever it is
+//! printed.
 
+use crate::foreign::{line, value};
 use std::path::Path;
 
 /// Bad input or a failed file operation, in one line: which file, which place, what is there,
@@ -7,7 +9,13 @@ use std::path::Path;
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum Error {
     /// A value that the format or physics forbids.
-    #[error("{file}: {place}: found {found}; allowed: {allowed}")]
+    #[error(
+        "{}: {}: found {}; allowed: {}",
+        line(file),
+        line(place),
+        value(found),
+        line(allowed)
+    )]
     Bad {
         /// file, object or source (`command line`, `environment`)
         file: String,
@@ -19,7 +27,7 @@ pub enum Error {
         allowed: String,
     },
     /// The operating system refused.
-    #[error("{file}: {what}: {why}")]
+    #[error("{}: {what}: {}", line(file), line(why))]
     Io {
         /// file that the operation was on
         file: String,
@@ -29,7 +37,7 @@ pub enum Error {
         why: String,
     },
     /// Shared memory or a network refused.
-    #[error("{service}: {why}")]
+    #[error("{}: {}", line(service), line(why))]
     Stream {
         /// service of shared memory, or address
         service: String,
@@ -37,7 +45,7 @@ pub enum Error {
         why: String,
     },
     /// A file that is not what its name says.
-    #[error("{file}: {why}")]
+    #[error("{}: {}", line(file), line(why))]
     Torn {
         /// file or object
         file: String,
@@ -131,4 +139,31 @@ pub fn temporary(path: &Path) -> std::path::PathBuf {
         .map(|n| n.to_string_lossy().into_owned())
         .unwrap_or_default();
     path.with_file_name(format!(".{name}.tmp-{}", std::process::id()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refuse_control_characters_in_every_error() {
+        let hostile = "x\x1b]0;gone\x07\n\u{9b}";
+        let path = Path::new(hostile);
+        let errors = [
+            Error::bad(hostile, hostile, hostile, hostile),
+            Error::io(path, "cannot be read", std::io::Error::other(hostile)),
+            Error::torn(path, hostile),
+            Error::Stream {
+                service: hostile.into(),
+                why: hostile.into(),
+            },
+        ];
+        for e in errors {
+            let text = e.to_string();
+            assert!(text.chars().all(crate::foreign::is_plain), "{text:?}");
+            assert!(text.contains("x\\u{1b}]0;gone"), "{text}");
+        }
+        let long = Error::bad("file", "place", "9".repeat(1 << 20), "1").to_string();
+        assert!(long.len() < 400, "{}", long.len());
+    }
 }

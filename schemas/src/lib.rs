@@ -50,6 +50,7 @@ pub mod error;
 pub mod fault;
 pub mod feature;
 pub mod fingerprint;
+pub mod foreign;
 pub mod guard;
 pub mod recording;
 pub mod run_encoder;

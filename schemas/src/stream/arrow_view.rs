@@ -21,6 +21,7 @@ impl Frame {
             service: super::TELEMETRY.into(),
             why: e.to_string(),
         };
+        // a copy, as is what `view` checks: shared memory is not asked again
         let header = *self.header();
         let rows = self.view().map_err(|e| fault(&e))?.rows;
         let start = self.payload().as_ptr();
@@ -30,9 +31,10 @@ impl Frame {
         for (i, c) in header.channel_set().iter().enumerate() {
             let unit = HashMap::from([("unit".to_string(), c.unit().to_string())]);
             fields.push(Field::new(c.name(), DataType::Float64, false).with_metadata(unit));
-            // SAFETY: `view` has checked that every column of `rows` values lies within the
-            // payload; the payload does not move and lives as long as its frame, which every
-            // buffer owns; f64 is aligned, since columns start at multiples of 64 bytes
+            // SAFETY: `view` has checked, by the same copies of header and length, that every column of `rows`
+            // values lies within the payload; the payload does not move and lives as long as its frame, which every
+            // buffer owns; f64 is aligned, since columns start at multiples of 64 bytes. The samples may be written
+            // by their publisher all the while (see `Frame`): any bits are an f64
             let buffer = unsafe {
                 let column = start.add(i * header.stride as usize);
                 let bytes = NonNull::new_unchecked(column.cast_mut().cast::<u8>());

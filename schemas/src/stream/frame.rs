@@ -3,6 +3,7 @@
 
 use super::wire::{from_number, from_text, to_number, to_text, wire};
 use crate::channel::{Channel, ChannelSet};
+use crate::foreign;
 use crate::telemetry::{TelemetryView, TelemetryViewMut};
 use crate::test_kind::TestKind;
 
@@ -105,6 +106,19 @@ pub enum FrameFault {
     /// rate [Hz]
     #[error("rate {0} Hz; allowed: a finite rate above 0")]
     Rate(f64),
+    /// a name that would do something to the terminal that it is printed on, or that is no text
+    #[error("actuator name `{}`; allowed: {NAMES}", foreign::value(&from_text(_0)))]
+    Actuator([u8; 32]),
+}
+
+/// What names of actuators are made of, in words.
+pub const NAMES: &str = "up to 32 bytes of UTF-8 without control and format characters";
+
+/// The name in a fixed field, if it is one that may be printed.
+fn name(field: &[u8]) -> Option<&str> {
+    let end = field.iter().position(|&b| b == 0).unwrap_or(field.len());
+    let text = std::str::from_utf8(&field[..end]).ok()?;
+    text.chars().all(foreign::is_plain).then_some(text)
 }
 
 /// What a sender says of a run.
@@ -224,6 +238,9 @@ impl FrameHeader {
     pub fn check(&self, payload: usize) -> Result<(), FrameFault> {
         if self.schema_version != crate::SCHEMA_VERSION {
             return Err(FrameFault::SchemaVersion(self.schema_version));
+        }
+        if name(&self.actuator).is_none() {
+            return Err(FrameFault::Actuator(self.actuator));
         }
         if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
             return Err(FrameFault::Rate(self.rate_hz));

@@ -9,9 +9,10 @@
 //! * growing slices lose unread samples: all frames come from one block of memory of fixed size.
 
 use super::domain::{Domain, failed};
-use super::frame::{Acknowledgement, BEGIN, Block, END, FrameHeader, RunDescription, SAMPLES};
+use super::frame::{Acknowledgement, BEGIN, Block, END, FrameHeader, NAMES, RunDescription, SAMPLES};
 use super::{ACKNOWLEDGEMENT, BUFFER_FRAMES, Ipc, MAX_BORROWED, MAX_NODES, MAX_PUBLISHERS, MAX_SUBSCRIBERS, TELEMETRY};
 use crate::error::{Error, Result};
+use crate::foreign;
 use crate::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView, TelemetryViewMut};
 use iceoryx2::port::BackpressureAction;
 use iceoryx2::prelude::*;
@@ -125,6 +126,10 @@ impl Pass {
     /// another publisher, gaps included.
     pub fn skip_frame(&mut self) {
         self.header.frame += 1;
+    }
+    /// Leaves out every frame number below `frame`; numbers do not go back.
+    pub fn skip_to(&mut self, frame: u64) {
+        self.header.frame = self.header.frame.max(frame);
     }
     /// Frames sent so far, the first one included.
     pub fn frames(&self) -> u64 {
@@ -310,13 +315,16 @@ impl Publisher {
     /// answered, and then a moment for the others. `None`: nobody did, or `go_on` said no.
     ///
     /// # Errors
-    /// Shared memory that refuses.
+    /// A name that frames cannot have ([`NAMES`]); shared memory that refuses.
     pub fn begin(
         &mut self,
         about: &RunDescription,
         patience: Duration,
         go_on: &dyn Fn() -> bool,
     ) -> Result<Option<Pass>> {
+        if !about.actuator.chars().all(foreign::is_plain) {
+            return Err(Error::bad("stream", "actuator name", &about.actuator, NAMES));
+        }
         self.passes += 1;
         let now = super::now_ns();
         let header = FrameHeader {
