@@ -16,6 +16,7 @@ use crate::Interrupted;
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
 use schemas::error::{EXIT_INTERRUPTED, Error};
+use schemas::foreign;
 use sim_worker::parameters::ActuatorParameters;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -179,7 +180,7 @@ pub fn main() -> ExitCode {
     };
     result.unwrap_or_else(|e| {
         // a closed pipe (ema ... | head) is not worth a word
-        eprintln!("ema: {}", format!("{e:#}").replace('\n', " "));
+        eprintln!("ema: {}", foreign::line(&format!("{e:#}")));
         if e.is::<Interrupted>() {
             ExitCode::from(EXIT_INTERRUPTED)
         } else {
@@ -188,10 +189,11 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// Prints, and does not mind when nobody reads on.
+/// Prints without control characters (names of files and frames come from outside), and does not mind when nobody
+/// reads on.
 pub fn say(text: &str) {
     use std::io::Write;
-    let _ = writeln!(std::io::stdout(), "{}", text.trim_end());
+    let _ = writeln!(std::io::stdout(), "{}", foreign::lines(text.trim_end()));
 }
 
 /// The first lines of a list.

@@ -2,6 +2,7 @@
 
 use super::run::{faults, finite};
 use super::{ActuatorArg, RecordingArgs, say};
+use crate::bridge::{Guard, Limits, Secret, TlsFiles};
 use crate::case::Settings;
 use crate::maps::{self, MapRequest};
 use crate::progress::interrupted;
@@ -17,6 +18,7 @@ use rand::{RngExt, SeedableRng};
 use schemas::channel::ChannelSet;
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error};
 use schemas::fault::{FaultGrid, FaultState};
+use schemas::foreign;
 use sim_worker::sensor::SensorModel;
 use sim_worker::setup::TestSetup;
 use sim_worker::simulate::{Experiment, Run};
@@ -160,10 +162,11 @@ fn positive(what: &str, x: f64, most: f64) -> Result<f64> {
 
 /// A name that fits into a frame.
 fn actuator_id(name: &str) -> Result<()> {
-    if (1..=32).contains(&name.len()) {
+    if (1..=32).contains(&name.len()) && name.chars().all(foreign::is_plain) {
         return Ok(());
     }
-    Err(Error::bad("command line", "--id", name, "1 to 32 bytes").into())
+    let allowed = "1 to 32 bytes without control and format characters";
+    Err(Error::bad("command line", "--id", name, allowed).into())
 }
 
 pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
@@ -370,6 +373,9 @@ enum Direction {
         /// HOST:PORT of the receiving bridge
         #[arg(long, default_value = "127.0.0.1:7745")]
         to: String,
+        /// Name in the receiving bridge's certificate, instead of HOST
+        #[arg(long, requires = "tls_cert")]
+        tls_name: Option<String>,
         #[command(flatten)]
         common: BridgeCommon,
     },
@@ -378,6 +384,15 @@ enum Direction {
         /// ADDRESS:PORT to listen on; port 0 takes a free one
         #[arg(long, default_value = "127.0.0.1:7745")]
         listen: String,
+        /// Senders connected at once; each takes one of the domain's 64 publishers
+        #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=60))]
+        most_connections: u32,
+        /// Longest message from a sender [kB]; a frame of all channels takes 128
+        #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u32).range(256..=65_536))]
+        most_message_kb: u32,
+        /// Streams (actuators under test) of a sender at once
+        #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+        most_streams: u32,
         #[command(flatten)]
         common: BridgeCommon,
     },
@@ -388,19 +403,85 @@ struct BridgeCommon {
     /// How long to wait for the other bridge, or for a subscriber [s]
     #[arg(long, default_value_t = 30.0)]
     wait: f64,
+    /// How long the other bridge may say nothing before it is given up [s]; each says that it is alive four times as often
+    #[arg(long, default_value_t = 10.0)]
+    idle: f64,
+    /// File with a secret of at least 16 bytes, the same on both sides; it never goes over the network
+    #[arg(long, value_name = "FILE")]
+    secret_file: Option<PathBuf>,
+    /// This side's certificate (PEM): both sides encrypt, and show each other certificates (TLS 1.3)
+    #[arg(long, value_name = "FILE", requires_all = ["tls_key", "tls_ca"])]
+    tls_cert: Option<PathBuf>,
+    /// Private key of --tls-cert (PEM)
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    tls_key: Option<PathBuf>,
+    /// Authorities that the other side's certificate may be of (PEM)
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    tls_ca: Option<PathBuf>,
     #[command(flatten)]
     domain: DomainArg,
 }
 
+impl BridgeCommon {
+    fn files(&self) -> Option<TlsFiles> {
+        let (Some(cert), Some(key), Some(ca)) = (&self.tls_cert, &self.tls_key, &self.tls_ca) else {
+            return None;
+        };
+        let [cert, key, ca] = [cert, key, ca].map(PathBuf::clone);
+        Some(TlsFiles { cert, key, ca })
+    }
+
+    fn guard<T>(&self, tls: impl FnOnce(&TlsFiles) -> Result<T>) -> Result<Guard<T>> {
+        Ok(Guard {
+            secret: self.secret_file.as_deref().map(Secret::read).transpose()?,
+            tls: self.files().as_ref().map(tls).transpose()?.map(Arc::new),
+            idle: Duration::from_secs_f64(at_least("--idle", self.idle, 0.5, 86_400.0)?),
+        })
+    }
+
+    fn patience(&self) -> Result<Duration> {
+        Ok(Duration::from_secs_f64(positive("--wait", self.wait, 1e6)?))
+    }
+}
+
+fn at_least(what: &str, x: f64, least: f64, most: f64) -> Result<f64> {
+    if (least..=most).contains(&x) {
+        return Ok(x);
+    }
+    Err(Error::bad("command line", what, x, format!("{least} to {most}")).into())
+}
+
+/// HOST of HOST:PORT, without the brackets of an IPv6 address.
+fn host(to: &str) -> &str {
+    let host = to.rsplit_once(':').map_or(to, |(host, _)| host);
+    host.trim_start_matches('[').trim_end_matches(']')
+}
+
 pub fn bridge(a: &BridgeArgs) -> Result<ExitCode> {
     let go_on = || !interrupted();
-    let tell = |text: &str| eprintln!("{text}");
-    let (Direction::Send { common, .. } | Direction::Receive { common, .. }) = &a.direction;
-    let patience = Duration::from_secs_f64(positive("--wait", common.wait, 1e6)?);
-    let domain = common.domain.open()?;
+    let tell = |text: &str| eprintln!("{}", foreign::line(text));
     let t = match &a.direction {
-        Direction::Send { to, .. } => bridge::send(&domain, to, patience, &go_on, &tell)?,
-        Direction::Receive { listen, .. } => bridge::receive(&domain, listen, patience, &go_on, &tell)?,
+        Direction::Send { to, tls_name, common } => {
+            let name = tls_name.as_deref().unwrap_or_else(|| host(to));
+            let guard = common.guard(|files| bridge::client(files, name))?;
+            bridge::send(&common.domain.open()?, to, &guard, common.patience()?, &go_on, &tell)?
+        }
+        Direction::Receive {
+            listen,
+            most_connections,
+            most_message_kb,
+            most_streams,
+            common,
+        } => {
+            let limits = Limits {
+                most_connections: *most_connections as usize,
+                most_message: *most_message_kb as usize * 1024,
+                most_streams: *most_streams as usize,
+                patience: common.patience()?,
+            };
+            let guard = common.guard(bridge::server)?;
+            bridge::receive(&common.domain.open()?, listen, &guard, limits, &go_on, &tell)?
+        }
     };
     eprintln!(
         "{} frames of {} streams over {} connections",
