@@ -8,7 +8,6 @@ use super::link::{Link, Wait};
 use anyhow::{Result, bail};
 use blake3::{Hash, Hasher};
 use schemas::error::Error;
-use std::io::ErrorKind;
 use std::path::Path;
 use std::time::Duration;
 
@@ -131,10 +130,10 @@ fn said(first: &[u8; HELLO], second: &[u8; HELLO], link: &Link) -> Result<Vec<u8
     Ok([&first[..], &second[..], &link.binding()?].concat())
 }
 
-/// Why a sender is not tried again.
+/// Why a connection is not tried again: what there is of a secret. Allowed is the same on both sides.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub(super) struct Hopeless(pub String);
+pub(super) struct Hopeless(pub &'static str);
 
 /// The sending end's side.
 ///
@@ -151,8 +150,8 @@ pub(super) fn greet(
     link.write_all(&mine, wait)?;
     let (theirs, hello) = hello_of(link, wait)?;
     match (secret.is_some(), hello.has_secret()) {
-        (false, true) => return Err(Hopeless("asks for a secret; allowed: --secret-file FILE".into()).into()),
-        (true, false) => return Err(Hopeless("has no secret; allowed: the same secret on both sides".into()).into()),
+        (false, true) => return Err(Hopeless("none; the receiving bridge asks for a secret").into()),
+        (true, false) => return Err(Hopeless("one; the receiving bridge has none").into()),
         _ => {}
     }
     let said = said(&mine, &theirs, link)?;
@@ -164,7 +163,7 @@ pub(super) fn greet(
     match u32::from_le_bytes(verdict) {
         v if v == Verdict::Welcome as u32 => {}
         v if v == Verdict::OtherSecret as u32 => {
-            return Err(Hopeless("has another secret; allowed: the same secret on both sides".into()).into());
+            return Err(Hopeless("another secret than the receiving bridge's").into());
         }
         v if v == Verdict::TooMany as u32 => bail!("has as many connections as it allows (its --most-connections)"),
         v => bail!("not a bridge of this version (verdict {v})"),
@@ -174,7 +173,7 @@ pub(super) fn greet(
         link.read_exact(&mut proof, wait)?;
         // compared in constant time
         if secret.proof(b"receiver", &said) != Hash::from_bytes(proof) {
-            return Err(Hopeless("does not know the secret".into()).into());
+            return Err(Hopeless("one that the receiving bridge does not know").into());
         }
     }
     let keep_alive = hello.keep_alive();
@@ -230,9 +229,5 @@ pub(super) fn welcome(link: &Link, peer: &Peer, wait: &Wait<'_>) -> std::io::Res
 
 /// The receiving end says why not; who does not listen has gone.
 pub(super) fn refuse(link: &Link, verdict: Verdict, wait: &Wait<'_>) {
-    match link.write_all(&(verdict as u32).to_le_bytes(), wait) {
-        Ok(()) => {}
-        Err(e) if e.kind() == ErrorKind::TimedOut => {}
-        Err(_) => {}
-    }
+    let _ = link.write_all(&(verdict as u32).to_le_bytes(), wait);
 }

@@ -269,13 +269,8 @@ pub fn send(
         }) {
             Ok(()) => {}
             Err(e) if e.is::<Hopeless>() => {
-                return Err(Error::bad(
-                    to.to_string(),
-                    "the receiving bridge",
-                    e.to_string(),
-                    "what it asks for",
-                )
-                .into());
+                let allowed = "--secret-file FILE, the same on both sides";
+                return Err(Error::bad(to.to_string(), "secret", e, allowed).into());
             }
             Err(_) if !go_on() => {}
             Err(e) => {
