@@ -4,12 +4,11 @@ mod common;
 
 use common::*;
 use ema_tests::stream::{Program, TestDomain};
-use serde_json::Value;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -357,7 +356,6 @@ fn e2e_bridge_with_secret_and_certificates() {
     assert_eq!(run.code(), Some(0), "{} {}", run.errors(), receiver.errors());
     assert_eq!(live.code(), Some(0), "{}", live.errors());
     same(offline, &finals(&live)[0]);
-    let _: &Value = offline;
     receiver.interrupt();
     assert_eq!(receiver.code(), Some(130), "{}", receiver.errors());
 }
@@ -367,20 +365,17 @@ fn e2e_bridge_with_secret_and_certificates() {
 fn e2e_silent_peers_are_given_up_and_idle_ones_are_not() {
     let (near, far) = (TestDomain::default(), TestDomain::default());
     let (mut receiver, to) = receiver(&far, &["--idle", "1"]);
-    let idle = sender(&near, &to, &["--idle", "1"]);
+    let mut idle = sender(&near, &to, &["--idle", "1"]);
     let mut mute = TcpStream::connect(&to).unwrap();
     mute.write_all(&hello(0)).unwrap();
     receiver.until("silence", LIMIT, |p| p.errors().contains("has said nothing for 1 s"));
     assert!(!idle.errors().contains("broken"), "{}", idle.errors());
     // the other way round: a receiver that stops
-    let stopped = AtomicBool::new(false);
     let signal = |s: &str| {
         let _ = Command::new("kill").args([s, &receiver.id().to_string()]).status();
-        stopped.store(s == "-STOP", Ordering::Relaxed);
     };
     signal("-STOP");
     let start = Instant::now();
-    let mut idle = idle;
     idle.until("silence", LIMIT, |p| p.errors().contains("has said nothing for 1 s"));
     println!("noticed after {:.1} s", start.elapsed().as_secs_f64());
     signal("-CONT");
