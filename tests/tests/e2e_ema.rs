@@ -764,15 +764,12 @@ fn e2e_one_bad_sample_is_named_and_what_it_enters_is_left_out() {
     let Some(reference) = ema_tests::folder("EMA_REFERENCE_DIR") else {
         return;
     };
-    let (file, maps) = (
-        reference.join("damaged/one-sample-spike.csv"),
-        reference.join("damaged/maps-1khz"),
-    );
+    let file = reference.join("damaged/one-sample-spike.csv");
     if !file.exists() {
         println!("skipped: no damaged in EMA_REFERENCE_DIR");
         return;
     }
-    let d = json(&["diagnose", text(&file), "--maps", text(&maps), "--json"]);
+    let d = json(&["diagnose", text(&file), "--grid", "standard", "--json"]);
     assert_eq!(d["outcome"], "incomplete", "{d}");
     let reason = d["reason"].as_str().unwrap();
     assert!(

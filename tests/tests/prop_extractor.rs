@@ -88,7 +88,9 @@ fn prop_a_gap_before_breakaway_leaves_p3_out() {
         (breakaway, breakaway + 1, false),
         (breakaway - 1, breakaway + 3, false),
         (1, 2, false),
-        (breakaway + 1, breakaway + 9, true),
+        // the next sample confirms it
+        (breakaway + 1, breakaway + 9, false),
+        (breakaway + 2, breakaway + 10, true),
     ] {
         let mut x = FeatureExtractor::new(plan());
         x.push(&view.slice(0, from));
