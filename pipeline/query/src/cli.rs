@@ -33,7 +33,7 @@ enum Format {
     Example: ema query out-of-family --data fleet"
 )]
 struct QueryArgs {
-    /// One SQL statement (polars SQL), or the name of a ready question
+    /// One SQL query (SELECT, WITH, UNION ..., EXPLAIN of one, SHOW TABLES), or the name of a ready question
     #[arg(required_unless_present = "list")]
     ask: Option<String>,
     /// The ready questions and the tables

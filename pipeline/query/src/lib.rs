@@ -33,6 +33,7 @@ pub mod cli;
 pub mod fleet;
 pub mod output;
 pub mod questions;
+mod statement;
 pub mod stats;
 pub mod tables;
 #[cfg(test)]
@@ -47,7 +48,7 @@ use anyhow::Result;
 use polars::prelude::*;
 use polars::sql::SQLContext;
 use schemas::error::Error;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use statement::Asked;
 use std::path::Path;
 
 /// A table, and what to know beside it.
@@ -61,35 +62,42 @@ pub struct Answer {
 
 /// The statement as a lazy table.
 fn plan(dir: &Path, sql: &str) -> Result<LazyFrame> {
-    let mut context = SQLContext::new();
-    let lower = sql.to_lowercase();
-    let mut missing = Vec::new();
-    for table in Table::ALL {
-        // a table that the statement does not name costs nothing
-        if !table.there(dir) {
-            missing.push(table);
-        } else if lower.contains(table.name()) {
-            context.register(table.name(), table.scan(dir)?);
-        }
-    }
-    if missing.len() == Table::ALL.len() {
+    let there: Vec<Table> = Table::ALL.into_iter().filter(|t| t.there(dir)).collect();
+    if there.is_empty() {
         let allowed = "a dataset folder (ema simulate, ema dataset make)";
         return Err(Error::bad(dir.display().to_string(), "folder", "none of its tables", allowed).into());
     }
-    Ok(context.execute(sql).map_err(|e| {
-        let why = one_line(&e);
-        let quoted = |t: &&Table| why.contains(&format!("'{}'", t.name()));
-        match missing.iter().find(quoted) {
+    let (sql, named) = match statement::read(sql)? {
+        Asked::Tables => return Ok(names(&there)?.lazy()),
+        Asked::Query { sql, tables } => (sql, tables),
+    };
+    let mut context = SQLContext::new();
+    // a table that the statement does not name costs nothing
+    for table in named.iter().filter(|t| there.contains(t)) {
+        context.register(table.name(), table.scan(dir)?);
+    }
+    let planned = guarded(|| context.execute(&sql));
+    Ok(planned.map_err(|why| {
+        let quoted = |t: &&Table| !there.contains(t) && why.contains(&format!("'{}'", t.name()));
+        match named.iter().find(quoted) {
             Some(table) => table.missing(dir),
             None => bad_sql(why),
         }
     })?)
 }
 
-/// Runs one SQL statement over the dataset in `dir`.
+/// The names of tables, in alphabetical order.
+fn names(tables: &[Table]) -> Result<DataFrame> {
+    let mut names: Vec<&str> = tables.iter().map(|t| t.name()).collect();
+    names.sort_unstable();
+    Ok(df!("name" => names)?)
+}
+
+/// Runs one SQL query over the dataset in `dir`: SELECT, or SHOW TABLES, or EXPLAIN of one.
 ///
 /// # Errors
-/// No tables in the folder, a table or column that is not there, SQL that is none, a torn file.
+/// No tables in the folder, a table or column that is not there, SQL that is none or no query, a table function, a torn
+/// file.
 pub fn query(dir: &Path, sql: &str) -> Result<DataFrame> {
     let frame = plan(dir, sql)?;
     run(frame).map_err(|why| bad_sql(why).into())
@@ -115,9 +123,9 @@ pub(crate) fn run(frame: LazyFrame) -> Result<DataFrame, String> {
 
 /// Some broken Parquet files make the reader panic instead of saying so.
 fn guarded<T>(work: impl FnOnce() -> PolarsResult<T>) -> Result<T, String> {
-    match catch_unwind(AssertUnwindSafe(work)) {
+    match schemas::guard::guarded(work) {
         Ok(result) => result.map_err(|e| one_line(&e)),
-        Err(_) => Err("a file that cannot be read".into()),
+        Err(_) => Err("a file that cannot be read, or a query that polars cannot carry out".into()),
     }
 }
 

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use polars::prelude::*;
 use schemas::error::Error;
+use schemas::recording::check_footer;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -105,6 +106,9 @@ impl Table {
             return Err(self.missing(dir).into());
         }
         let pattern = dir.join(self.files());
+        if self != Self::Runs {
+            check_footers(pattern.parent().unwrap_or(dir))?;
+        }
         match self {
             Self::Runs => runs(&pattern),
             Self::Intervals => intervals(scan(&pattern, ScanArgsParquet::default())?),
@@ -131,6 +135,16 @@ pub fn refuse_old(dir: &Path) -> Result<()> {
         allowed,
     )
     .into())
+}
+
+/// Refuses files that declare more than they hold, before polars takes memory for it. Telemetry is left out: of its
+/// many files only those are opened that a query needs.
+fn check_footers(folder: &Path) -> Result<()> {
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "cannot be read", e))?;
+    let mut files: Vec<_> = entries.flatten().map(|e| e.path()).collect();
+    files.retain(|f| f.extension().is_some_and(|e| e == "parquet"));
+    files.sort();
+    files.iter().try_for_each(|f| Ok(check_footer(f)?))
 }
 
 /// A table of files, lazily.

@@ -1,6 +1,7 @@
 //! Small datasets whose answers can be worked out by hand.
 
 mod questions;
+mod statement;
 mod tables;
 
 use polars::prelude::*;

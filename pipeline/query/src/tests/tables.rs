@@ -2,6 +2,7 @@ use super::{near, number, truth, word, write};
 use crate::{explain, query};
 use arrow::array::{ArrayRef, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
 use parquet::arrow::ArrowWriter;
+use parquet::file::metadata::{FileMetaData, ParquetMetaDataBuilder, ParquetMetaDataReader, ParquetMetaDataWriter};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use polars::prelude::df;
 use std::fs::{File, OpenOptions};
@@ -177,4 +178,75 @@ fn files_that_are_none_are_refused_in_one_line() {
     std::fs::write(&file, b"PAR1 this is no Parquet file PAR1").unwrap();
     let e = format!("{:#}", query(dir.path(), "SELECT * FROM features").unwrap_err());
     assert!(!e.contains('\n'), "{e}");
+}
+
+#[test]
+fn a_table_that_declares_more_rows_than_it_holds_is_refused() {
+    let dir = tempdir().unwrap();
+    let file = dir.path().join("features/part-0000.parquet");
+    write(&file, df!("run" => [0u64, 1, 2], "p2_a" => [0.1, 0.2, 0.3]).unwrap());
+    assert_eq!(query(dir.path(), "SELECT * FROM features").unwrap().height(), 3);
+    let bytes = std::fs::read(&file).unwrap();
+    let footer = u32::from_le_bytes(bytes[bytes.len() - 8..][..4].try_into().unwrap()) as usize;
+    let m = ParquetMetaDataReader::new()
+        .parse_and_finish(&File::open(&file).unwrap())
+        .unwrap();
+    let rows = 1_000_000_000_000;
+    let many = FileMetaData::new(2, rows, None, None, m.file_metadata().schema_descr_ptr(), None);
+    let group = m.row_groups()[0]
+        .clone()
+        .into_builder()
+        .set_num_rows(rows)
+        .build()
+        .unwrap();
+    let lie = ParquetMetaDataBuilder::new(many).add_row_group(group).build();
+    let mut changed = bytes[..bytes.len() - 8 - footer].to_vec();
+    ParquetMetaDataWriter::new(&mut changed, &lie).finish().unwrap();
+    std::fs::write(&file, changed).unwrap();
+    for sql in [
+        "SELECT COUNT(*) AS n FROM features",
+        "SELECT * FROM features",
+        "SELECT SUM(p2_a) AS s FROM features",
+    ] {
+        let e = format!("{:#}", query(dir.path(), sql).unwrap_err());
+        assert!(
+            e.contains("part-0000.parquet: rows of the footer: found 1000000000000"),
+            "{e}"
+        );
+    }
+}
+
+#[test]
+fn tables_in_every_codec_are_read() {
+    use parquet::basic::{BrotliLevel, Compression, GzipLevel, ZstdLevel};
+    let dir = tempdir().unwrap();
+    let file = dir.path().join("features/part-0000.parquet");
+    std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+    let words: ArrayRef = Arc::new(arrow::array::StringArray::from_iter_values(
+        (0..500).map(|i| ["map", "test"][i % 2]),
+    ));
+    let numbers: ArrayRef = Arc::new(Float64Array::from_iter_values((0..500).map(|i| i as f64)));
+    let batch = RecordBatch::try_from_iter([("kind", words), ("p3", numbers)]).unwrap();
+    for codec in [
+        Compression::UNCOMPRESSED,
+        Compression::SNAPPY,
+        Compression::GZIP(GzipLevel::default()),
+        Compression::BROTLI(BrotliLevel::default()),
+        Compression::LZ4_RAW,
+        Compression::ZSTD(ZstdLevel::default()),
+    ] {
+        let settings = parquet::file::properties::WriterProperties::builder()
+            .set_compression(codec)
+            .build();
+        let mut w = ArrowWriter::try_new(File::create(&file).unwrap(), batch.schema(), Some(settings)).unwrap();
+        w.write(&batch).unwrap();
+        w.close().unwrap();
+        let frame = query(
+            dir.path(),
+            "SELECT kind, SUM(p3) AS s FROM features GROUP BY kind ORDER BY kind",
+        )
+        .unwrap();
+        near(number(&frame, "s", 0), 62_250.0);
+        assert_eq!(word(&frame, "kind", 1), "test", "{codec}");
+    }
 }
