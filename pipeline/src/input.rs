@@ -1,21 +1,22 @@
-//! Telemetry from outside: the project's Parquet, plain CSV, a run of a dataset, checked row by row.
+//! Telemetry from outside: the project's Parquet, plain tables in CSV or Parquet, a run of a dataset, checked row by row.
+
+mod csv_table;
+mod parquet_table;
+mod plain;
 
 use crate::dataset::Dataset;
 use crate::dataset::export::KeptRun;
 use anyhow::{Result, bail};
-use schemas::channel::{Channel, ChannelSet};
+use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::recording::Provenance;
 use schemas::sequence::TestSequence;
-use schemas::telemetry::{Collector, TelemetryBuffer, TelemetryHeader, TelemetrySink};
+use schemas::telemetry::{Collector, TelemetryHeader, TelemetrySink};
 use sim_worker::command::CommandTrack;
 use sim_worker::sensor::SensorModel;
 use sim_worker::setup::TestSetup;
 use std::io::Read;
 use std::path::Path;
-
-/// Largest deviation of a time stamp from a steady rate, as a share of the period.
-const JITTER: f64 = 0.05;
 
 /// One recorded run in memory, and what the file says of itself.
 pub struct Measured {
@@ -42,7 +43,7 @@ pub(crate) fn is_dataset(path: &Path) -> bool {
     path.is_dir() || path.to_str().is_some_and(|t| t.contains("://"))
 }
 
-/// The runs of a file: their numbers, or `None` for the one of a CSV file.
+/// The runs of a file: their numbers, or `None` for the one of a table without a column `run`.
 pub(crate) fn runs(path: &Path) -> Result<Vec<Option<u64>>> {
     #[derive(Default)]
     struct Numbers(Vec<Option<u64>>);
@@ -70,6 +71,9 @@ pub(crate) fn runs(path: &Path) -> Result<Vec<Option<u64>>> {
     }
     if !is_parquet(path)? {
         return Ok(vec![None]);
+    }
+    if parquet_table::is_plain(path)? {
+        return parquet_table::runs(path);
     }
     let mut numbers = Numbers::default();
     schemas::recording::Recording::open(path)?.replay(65_536, &mut numbers)?;
@@ -99,10 +103,12 @@ fn is_parquet(path: &Path) -> Result<bool> {
 pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
     let m = if is_dataset(path) {
         open_dataset(path, run)?
-    } else if is_parquet(path)? {
-        open_parquet(path, run)?
+    } else if !is_parquet(path)? {
+        csv_table::open(path)?
+    } else if parquet_table::is_plain(path)? {
+        parquet_table::open(path, run)?
     } else {
-        open_csv(path)?
+        open_parquet(path, run)?
     };
     check(path, &m)?;
     Ok(m)
@@ -172,145 +178,6 @@ fn open_parquet(path: &Path, run: Option<u64>) -> Result<Measured> {
         return Err(Error::bad(file, "file", found, format!("one of the runs {:?}", one.seen)).into());
     }
     Ok(Measured::of(one.collector, r.provenance, None))
-}
-
-fn open_csv(path: &Path) -> Result<Measured> {
-    let file = path.display().to_string();
-    let mut reader = csv::ReaderBuilder::new()
-        .trim(csv::Trim::All)
-        .from_path(path)
-        .map_err(|e| Error::torn(path, e))?;
-    let head = reader.headers().map_err(|e| Error::torn(path, e))?.clone();
-    let names: Vec<&str> = head.iter().map(|h| h.trim_start_matches('\u{feff}')).collect();
-    let place = |n: &str| names.iter().position(|h| *h == n);
-    if let Some((i, n)) = names.iter().enumerate().find(|(i, n)| names[..*i].contains(n)) {
-        return Err(Error::bad(
-            file,
-            format!("header, column {}", i + 1),
-            format!("`{n}` again"),
-            "each column once",
-        )
-        .into());
-    }
-    let needed = ["t", "com", "theta_m", "omega_m", "i_eq"];
-    let absent: Vec<&str> = needed.iter().copied().filter(|n| place(n).is_none()).collect();
-    if !absent.is_empty() {
-        let allowed = format!("columns {} (missing: {})", needed.join(","), absent.join(","));
-        return Err(Error::bad(file, "header", names.join(","), allowed).into());
-    }
-    let time = place("t").expect("checked");
-    let columns: Vec<(usize, Channel)> = names
-        .iter()
-        .enumerate()
-        .filter_map(|(i, n)| Channel::from_name(n).map(|c| (i, c)))
-        .collect();
-    let channels = ChannelSet::of(columns.iter().map(|(_, c)| *c));
-    let mut t = Vec::new();
-    let mut buffer = TelemetryBuffer::new(channels, 4096);
-    let mut record = csv::StringRecord::new();
-    loop {
-        let line = reader.position().line();
-        match reader.read_record(&mut record) {
-            Ok(true) => {}
-            Ok(false) => break,
-            Err(e) => {
-                let found = e.to_string();
-                return Err(Error::bad(file, format!("line {line}"), found, format!("{} columns", names.len())).into());
-            }
-        }
-        let line = record.position().map_or(line, |p| p.line());
-        let number = |i: usize| -> Result<f64> {
-            let text = &record[i];
-            match text.parse::<f64>() {
-                Ok(x) if x.is_finite() => Ok(x),
-                _ => {
-                    let place = format!("line {line}, column `{}`", names[i]);
-                    let found = if text.is_empty() { "nothing" } else { text };
-                    Err(Error::bad(&file, place, found, "a finite number").into())
-                }
-            }
-        };
-        let now = number(time)?;
-        if let Some(&last) = t.last()
-            && now <= last
-        {
-            let allowed = format!("a time after {last}");
-            return Err(Error::bad(file, format!("line {line}, column `t`"), now, allowed).into());
-        }
-        t.push(now);
-        for &(i, c) in &columns {
-            let x = number(i)?;
-            buffer.column_mut(c).expect("made with these channels").push(x);
-        }
-    }
-    if t.len() < 2 {
-        return Err(Error::bad(
-            file,
-            "file",
-            format!("{} rows", t.len()),
-            "at least 2 rows after the header",
-        )
-        .into());
-    }
-    let n = t.len();
-    let rate = (n - 1) as f64 / (t[n - 1] - t[0]);
-    let round = rate.round();
-    let rate_hz = if (rate - round).abs() < 1e-3 * rate {
-        round
-    } else {
-        rate
-    };
-    for (i, &x) in t.iter().enumerate() {
-        let steady = t[0] + i as f64 / rate_hz;
-        if (x - steady).abs() * rate_hz > JITTER {
-            let allowed = format!("{steady:.6} +- {JITTER} of a period (steady {rate_hz} Hz)");
-            return Err(Error::bad(file, format!("line {}, column `t`", i + 2), x, allowed).into());
-        }
-    }
-    // sample n is of the interval that ends at n / rate
-    if t[0] * rate_hz < -0.5 {
-        return Err(Error::bad(
-            file,
-            "line 2, column `t`",
-            t[0],
-            "times from 0, the start of the sequence, on",
-        )
-        .into());
-    }
-    buffer.first = (t[0] * rate_hz).round() as u64;
-    let mut rows = n;
-    if buffer.first == 0 {
-        // a value at t = 0 belongs to no interval
-        for (_, c) in &columns {
-            buffer.column_mut(*c).expect("made with these channels").remove(0);
-        }
-        buffer.first = 1;
-        rows -= 1;
-    }
-    buffer.set_rows(rows);
-    let mut telemetry = Collector::default();
-    let header = TelemetryHeader {
-        run: 0,
-        actuator: String::new(),
-        parameters: String::new(),
-        sensors: String::new(),
-        sequence: String::new(),
-        rate_hz,
-        channels,
-        fault: None,
-        rest_angle_rad: None,
-    };
-    telemetry.accept(&header, &buffer.view())?;
-    Ok(Measured {
-        telemetry,
-        rate_hz,
-        parameters: String::new(),
-        sequence: String::new(),
-        sequence_fingerprint: String::new(),
-        sensors: String::new(),
-        load_n_m: None,
-        setup: None,
-    })
 }
 
 fn check(path: &Path, m: &Measured) -> Result<()> {

@@ -46,6 +46,7 @@
 #![warn(missing_docs, clippy::missing_errors_doc)]
 
 pub mod channel;
+mod declared;
 pub mod error;
 pub mod fault;
 pub mod feature;

@@ -9,8 +9,8 @@ use crate::guard::guarded;
 use crate::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use arrow::array::{Array, ArrayRef, AsArray, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
 use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, SchemaRef, UInt64Type};
-use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use parquet::arrow::{ArrowWriter, ProjectionMask};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
@@ -336,24 +336,55 @@ fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
         ));
     }
     let whole = |e: String| Error::torn(path, format!("not a whole Parquet file of {size} bytes ({e})"));
-    guarded(|| ParquetRecordBatchReaderBuilder::try_new(file))
+    let builder = guarded(|| ParquetRecordBatchReaderBuilder::try_new(file))
         .map_err(|e| whole(e.to_string()))?
-        .map_err(|e| whole(e.to_string()))
+        .map_err(|e| whole(e.to_string()))?;
+    crate::declared::check(path, builder.metadata(), size)?;
+    Ok(builder)
+}
+
+/// Whether the footer of a Parquet file can be read, and declares no more than the file can hold.
+///
+/// # Errors
+/// A file that is not there, is empty, is not whole, or whose footer contradicts itself.
+pub fn check_footer(path: &Path) -> Result<()> {
+    open(path).map(|_| ())
 }
 
 /// The batches of a file; what its decoder cannot stand is a torn file.
 struct Batches {
     reader: Option<ParquetRecordBatchReader>,
     path: PathBuf,
+    /// Rows that the footer declares and that did not come yet.
+    due: u64,
 }
 
 impl Batches {
     fn of(path: &Path, builder: ParquetRecordBatchReaderBuilder<File>) -> Result<Self> {
+        // checked when opened
+        let due = builder.metadata().file_metadata().num_rows() as u64;
         let reader = guarded(|| builder.build()).map_err(|e| Error::torn(path, e))?;
         Ok(Self {
             reader: Some(reader.map_err(|e| Error::torn(path, e))?),
             path: path.into(),
+            due,
         })
+    }
+
+    /// Counts the rows of a block; at the end, all that the footer declares must have come.
+    fn counted(&mut self, batch: Option<RecordBatch>) -> Option<Result<RecordBatch>> {
+        match batch {
+            Some(b) => {
+                self.due = self.due.saturating_sub(b.num_rows() as u64);
+                Some(Ok(b))
+            }
+            None if self.due > 0 => {
+                let why = format!("not whole: {} rows fewer than its footer declares", self.due);
+                self.reader = None;
+                Some(Err(Error::torn(&self.path, why)))
+            }
+            None => None,
+        }
     }
 }
 
@@ -363,7 +394,10 @@ impl Iterator for Batches {
     fn next(&mut self) -> Option<Self::Item> {
         let reader = self.reader.as_mut()?;
         match guarded(|| reader.next()) {
-            Ok(batch) => batch.map(|b| b.map_err(|e| Error::torn(&self.path, e))),
+            Ok(batch) => match batch.transpose() {
+                Ok(batch) => self.counted(batch),
+                Err(e) => Some(Err(Error::torn(&self.path, e))),
+            },
             Err(e) => {
                 self.reader = None;
                 Some(Err(Error::torn(&self.path, e)))
@@ -388,6 +422,33 @@ pub fn read_table(path: &Path) -> Result<(SchemaRef, Vec<RecordBatch>)> {
     let builder = open(path)?;
     let schema = builder.schema().clone();
     Ok((schema, Batches::of(path, builder)?.collect::<Result<_>>()?))
+}
+
+/// The rows of some columns of a Parquet file, in blocks: those whose name `wanted` takes.
+///
+/// # Errors
+/// As [`read_batches`], in turn; what `sink` refuses.
+pub fn read_columns(
+    path: &Path,
+    wanted: impl Fn(&str) -> bool,
+    mut sink: impl FnMut(&RecordBatch) -> Result<()>,
+) -> Result<()> {
+    let builder = open(path)?;
+    let fields = builder.schema().fields();
+    let columns: Vec<usize> = (0..fields.len()).filter(|&i| wanted(fields[i].name())).collect();
+    let mask = ProjectionMask::roots(builder.parquet_schema(), columns);
+    for batch in Batches::of(path, builder.with_projection(mask).with_batch_size(8192))? {
+        sink(&batch?)?;
+    }
+    Ok(())
+}
+
+/// The columns of a Parquet file; nothing of its rows is read.
+///
+/// # Errors
+/// As [`check_footer`].
+pub fn columns(path: &Path) -> Result<SchemaRef> {
+    Ok(open(path)?.schema().clone())
 }
 
 /// Key-value metadata of a Parquet file.
