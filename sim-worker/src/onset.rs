@@ -173,7 +173,6 @@ mod tests {
     use super::*;
     use crate::catalogue;
     use crate::extractor::{FeatureExtractor, FeaturePlan};
-    use crate::spread::Spread;
     use schemas::feature::Raw;
     use schemas::telemetry::Collector;
 
