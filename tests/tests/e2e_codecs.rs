@@ -29,7 +29,11 @@ fn recording() -> &'static (PathBuf, Value) {
 fn rewritten(path: &Path, settings: WriterPropertiesBuilder, with_metadata: bool) {
     let (source, _) = recording();
     let (schema, batches) = read_table(source).unwrap();
-    let pairs = with_metadata.then(|| metadata(source).unwrap()).unwrap_or_default();
+    let pairs = if with_metadata {
+        metadata(source).unwrap()
+    } else {
+        Default::default()
+    };
     let ours = pairs.into_iter().filter(|(k, _)| k.starts_with("ema."));
     let settings = settings.set_key_value_metadata(Some(ours.map(|(k, v)| KeyValue::new(k, v)).collect()));
     let file = std::fs::File::create(path).unwrap();

@@ -4,7 +4,7 @@ use super::{columns, query, quoted};
 use schemas::error::Result;
 use sqlparser::ast::{
     BinaryOperator, Expr, Function, GroupByExpr, Ident, Join, JoinConstraint, JoinOperator, Query, Select, SelectItem,
-    SetExpr, TableFactor, TableWithJoins, Visit, VisitMut, Visitor, VisitorMut,
+    SetExpr, TableFactor, Visit, VisitMut, Visitor, VisitorMut,
 };
 use std::ops::ControlFlow;
 
@@ -185,7 +185,9 @@ pub(super) fn scalar_subqueries(select: &mut Select, name: &mut dyn FnMut(&str) 
             continue;
         };
         let join = made.from.remove(0).joins.remove(0);
-        select.from.last_mut().map(|t: &mut TableWithJoins| t.joins.push(join));
+        if let Some(table) = select.from.last_mut() {
+            table.joins.push(join);
+        }
     }
     Ok(())
 }
