@@ -1,12 +1,12 @@
 //! Conditions that polars refuses where SQL allows them, moved to where it takes them.
 
+use super::walk::{self, Met, Part};
 use super::{columns, query, quoted};
 use schemas::error::Result;
 use sqlparser::ast::{
     BinaryOperator, Expr, Function, GroupByExpr, Ident, Join, JoinConstraint, JoinOperator, Query, Select, SelectItem,
-    SetExpr, TableFactor, Visit, VisitMut, Visitor, VisitorMut,
+    SetExpr, TableFactor, TableWithJoins,
 };
-use std::ops::ControlFlow;
 
 /// The parts of `a AND b AND c`.
 fn parts(e: Expr) -> Vec<Expr> {
@@ -138,25 +138,15 @@ fn is_aggregate(e: &Expr) -> bool {
 
 /// Whether an expression has an aggregate in it, outside of subqueries.
 fn aggregates(e: &Expr) -> bool {
-    struct Search(usize);
-    impl Visitor for Search {
-        type Break = ();
-        fn pre_visit_query(&mut self, _: &Query) -> ControlFlow<()> {
-            self.0 += 1;
-            ControlFlow::Continue(())
+    let mut depth = 0;
+    !walk::all(e, &mut |met| {
+        match met {
+            Met::Query(_) => depth += 1,
+            Met::QueryEnd => depth -= 1,
+            Met::Expr(e) => return depth > 0 || !is_aggregate(e),
         }
-        fn post_visit_query(&mut self, _: &Query) -> ControlFlow<()> {
-            self.0 -= 1;
-            ControlFlow::Continue(())
-        }
-        fn pre_visit_expr(&mut self, e: &Expr) -> ControlFlow<()> {
-            match self.0 == 0 && is_aggregate(e) {
-                true => ControlFlow::Break(()),
-                false => ControlFlow::Continue(()),
-            }
-        }
-    }
-    e.visit(&mut Search(0)).is_break()
+        true
+    })
 }
 
 /// `x > (SELECT AVG(x) FROM t)` in WHERE: the subquery, which has one row whatever its table holds, is joined.
@@ -164,14 +154,21 @@ pub(super) fn scalar_subqueries(select: &mut Select, name: &mut dyn FnMut(&str) 
     let Some(selection) = &mut select.selection else {
         return Ok(());
     };
-    let mut scalars = Scalars {
-        name,
-        depth: 0,
-        found: Vec::new(),
-    };
-    let _ = VisitMut::visit(selection, &mut scalars);
-    let found = scalars.found;
-    if found.is_empty() || select.from.is_empty() {
+    if select.from.is_empty() {
+        return Ok(());
+    }
+    let mut depth = 0;
+    let mut found = Vec::new();
+    walk::change(selection, &mut |part| {
+        match part {
+            Part::QueryBegin => depth += 1,
+            Part::Query(_) => depth -= 1,
+            Part::Expr(e) if depth == 0 => found.extend(take_scalar(e, name)),
+            _ => {}
+        }
+        Ok(())
+    })?;
+    if found.is_empty() {
         return Ok(());
     }
     let hidden: Vec<&str> = found.iter().map(|(column, _)| column.as_str()).collect();
@@ -185,9 +182,7 @@ pub(super) fn scalar_subqueries(select: &mut Select, name: &mut dyn FnMut(&str) 
             continue;
         };
         let join = made.from.remove(0).joins.remove(0);
-        if let Some(table) = select.from.last_mut() {
-            table.joins.push(join);
-        }
+        select.from.last_mut().map(|t: &mut TableWithJoins| t.joins.push(join));
     }
     Ok(())
 }
@@ -205,37 +200,12 @@ fn hide(select: &mut Select, columns: &[&str]) {
     }
 }
 
-struct Scalars<'a> {
-    name: &'a mut dyn FnMut(&str) -> String,
-    /// Queries around the place.
-    depth: usize,
-    /// Names of columns, and the subqueries that they are of.
-    found: Vec<(String, Box<Query>)>,
-}
-
-impl VisitorMut for Scalars<'_> {
-    type Break = ();
-
-    fn pre_visit_query(&mut self, _: &mut Query) -> ControlFlow<()> {
-        self.depth += 1;
-        ControlFlow::Continue(())
-    }
-
-    fn post_visit_query(&mut self, _: &mut Query) -> ControlFlow<()> {
-        self.depth -= 1;
-        ControlFlow::Continue(())
-    }
-
-    fn post_visit_expr(&mut self, e: &mut Expr) -> ControlFlow<()> {
-        if let Expr::Subquery(subquery) = e
-            && self.depth == 0
-            && let Some(named) = scalar(subquery, self.name)
-        {
-            *e = Expr::Identifier(Ident::with_quote('"', &named.0));
-            self.found.push(named);
-        }
-        ControlFlow::Continue(())
-    }
+/// Puts the name of a column in the place of a scalar subquery; gives the name, and the subquery with its column named.
+fn take_scalar(e: &mut Expr, name: &mut dyn FnMut(&str) -> String) -> Option<(String, Box<Query>)> {
+    let Expr::Subquery(subquery) = e else { return None };
+    let named = scalar(subquery, name)?;
+    *e = Expr::Identifier(Ident::with_quote('"', &named.0));
+    Some(named)
 }
 
 /// A subquery of one aggregate over all rows, its column named.

@@ -10,14 +10,15 @@ mod conditions;
 mod names;
 mod order;
 mod refuse;
+mod walk;
 
 use crate::Table;
-use schemas::error::{Error, Result};
-use sqlparser::ast::{Expr, Query, Select, SetExpr, Statement, VisitMut, VisitorMut};
+use schemas::error::Result;
+use sqlparser::ast::{Expr, Query, Select, SetExpr, Statement};
 use sqlparser::dialect::GenericDialect;
 use sqlparser::parser::{Parser, ParserError, ParserOptions};
 use std::collections::BTreeSet;
-use std::ops::ControlFlow;
+use walk::{Met, Part};
 
 /// What a statement asks for.
 #[derive(Debug)]
@@ -88,60 +89,33 @@ fn quoted(name: &str) -> String {
 
 /// Puts every query of a statement, the innermost first, into words that polars answers as SQL says.
 fn rewrite(statement: &mut Statement) -> Result<()> {
-    let mut rewriter = Rewriter { made: 0 };
-    match statement.visit(&mut rewriter) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(e) => Err(e),
-    }
+    let mut made = 0;
+    // names that no table or column has
+    let mut name = |what: &str| {
+        made += 1;
+        format!("__{what}_{made}")
+    };
+    walk::change(statement, &mut |part| match part {
+        Part::Select(select) => rewrite_select(select, &mut name),
+        Part::Query(query) => rewrite_query(query, &mut name),
+        _ => Ok(()),
+    })
 }
 
-struct Rewriter {
-    /// Names given so far.
-    made: usize,
+fn rewrite_select(select: &mut Select, name: &mut dyn FnMut(&str) -> String) -> Result<()> {
+    conditions::of_joins(select)?;
+    conditions::of_having(select);
+    conditions::scalar_subqueries(select, name)?;
+    names::of_columns(select);
+    Ok(())
 }
 
-impl Rewriter {
-    /// A name that no table or column has.
-    fn name(&mut self, what: &str) -> String {
-        self.made += 1;
-        format!("__{what}_{}", self.made)
-    }
-
-    fn select(&mut self, select: &mut Select) -> Result<()> {
-        conditions::of_joins(select)?;
-        conditions::of_having(select);
-        self.scalars(select)?;
-        names::of_columns(select);
-        Ok(())
-    }
-
-    fn scalars(&mut self, select: &mut Select) -> Result<()> {
-        conditions::scalar_subqueries(select, &mut |what| self.name(what))
-    }
-}
-
-impl VisitorMut for Rewriter {
-    type Break = Error;
-
-    fn post_visit_select(&mut self, select: &mut Select) -> ControlFlow<Error> {
-        flow(self.select(select))
-    }
-
-    fn post_visit_query(&mut self, query: &mut Query) -> ControlFlow<Error> {
-        order::nulls_last(query);
-        let done = match query.body.as_ref() {
-            SetExpr::Select(_) => order::of_select(query, &mut |what| self.name(what)),
-            SetExpr::SetOperation { .. } => order::of_set_operation(query, &mut |what| self.name(what)),
-            _ => Ok(()),
-        };
-        flow(done)
-    }
-}
-
-fn flow(done: Result<()>) -> ControlFlow<Error> {
-    match done {
-        Ok(()) => ControlFlow::Continue(()),
-        Err(e) => ControlFlow::Break(e),
+fn rewrite_query(query: &mut Query, name: &mut dyn FnMut(&str) -> String) -> Result<()> {
+    order::nulls_last(query);
+    match query.body.as_ref() {
+        SetExpr::Select(_) => order::of_select(query, name),
+        SetExpr::SetOperation { .. } => order::of_set_operation(query, name),
+        _ => Ok(()),
     }
 }
 
@@ -156,20 +130,12 @@ fn column(e: &Expr) -> Option<Vec<&str>> {
 
 /// The column references of an expression, as [`column`]; nothing if it has a subquery of its own.
 fn columns(e: &Expr) -> Option<BTreeSet<Vec<String>>> {
-    use sqlparser::ast::{Visit, Visitor};
-    #[derive(Default)]
-    struct Columns(BTreeSet<Vec<String>>);
-    impl Visitor for Columns {
-        type Break = ();
-        fn pre_visit_query(&mut self, _: &Query) -> ControlFlow<()> {
-            ControlFlow::Break(())
+    let mut found = BTreeSet::new();
+    let whole = walk::all(e, &mut |met| {
+        if let Met::Expr(e) = met {
+            found.extend(column(e).map(|c| c.into_iter().map(String::from).collect()));
         }
-        fn pre_visit_expr(&mut self, e: &Expr) -> ControlFlow<()> {
-            self.0
-                .extend(column(e).map(|c| c.into_iter().map(String::from).collect()));
-            ControlFlow::Continue(())
-        }
-    }
-    let mut found = Columns::default();
-    e.visit(&mut found).is_continue().then_some(found.0)
+        !matches!(met, Met::Query(_))
+    });
+    whole.then_some(found)
 }

@@ -2,12 +2,11 @@
 //! `AVG(x)` and `MAX(x)` would both be `x`, and refuses two columns of one name.
 
 use super::column;
+use super::walk::{self, Part};
 use sqlparser::ast::{
     Expr, Function, FunctionArg, FunctionArgExpr, FunctionArguments, Ident, ObjectNamePart, Select, SelectItem,
-    VisitMut, VisitorMut,
 };
 use std::collections::BTreeSet;
-use std::ops::ControlFlow;
 
 /// The name of an item in the answer; nothing for a wildcard.
 pub(super) fn of(item: &SelectItem) -> Option<String> {
@@ -69,23 +68,25 @@ fn many(e: &Expr) -> bool {
 /// The text of an expression as DuckDB names it: functions in lower case, `count_star()`, operations in parentheses.
 fn text(e: &Expr) -> String {
     let mut e = e.clone();
-    let _ = VisitMut::visit(&mut e, &mut Spelling);
+    // the walk has no errors
+    let _ = walk::change(&mut e, &mut |part| {
+        match part {
+            Part::Expr(Expr::Function(f)) => spell(f),
+            Part::Expr(e @ Expr::BinaryOp { .. }) => *e = Expr::Nested(Box::new(e.clone())),
+            Part::Expr(e) => unnest(e),
+            _ => {}
+        }
+        Ok(())
+    });
     e.to_string()
 }
 
-struct Spelling;
-
-impl VisitorMut for Spelling {
-    type Break = ();
-
-    fn post_visit_expr(&mut self, e: &mut Expr) -> ControlFlow<()> {
-        match e {
-            Expr::Function(f) => spell(f),
-            Expr::BinaryOp { .. } => *e = Expr::Nested(Box::new(e.clone())),
-            Expr::Nested(inner) if matches!(**inner, Expr::Nested(_)) => *e = (**inner).clone(),
-            _ => {}
-        }
-        ControlFlow::Continue(())
+/// One pair of parentheses for two.
+fn unnest(e: &mut Expr) {
+    if let Expr::Nested(inner) = e
+        && matches!(**inner, Expr::Nested(_))
+    {
+        *e = (**inner).clone();
     }
 }
 

@@ -1,13 +1,10 @@
 //! What is no query over the tables of a dataset.
 
+use super::walk::{self, Met, Part};
 use crate::Table;
 use schemas::error::{Error, Result};
-use sqlparser::ast::{
-    DescribeAlias, Ident, ObjectName, ObjectNamePart, Query, SetExpr, Statement, TableFactor, Visit, VisitMut, Visitor,
-    VisitorMut,
-};
+use sqlparser::ast::{DescribeAlias, ObjectName, ObjectNamePart, SetExpr, Statement, TableFactor};
 use std::collections::BTreeSet;
-use std::ops::ControlFlow;
 
 const ALLOWED: &str = "one query (SELECT, WITH ... SELECT, UNION and the like), EXPLAIN of one, or SHOW TABLES";
 
@@ -60,23 +57,16 @@ pub(super) fn other_than_query(statement: &Statement) -> Result<()> {
     if !matches!(asked, Statement::Query(_)) {
         return Err(bad(&statement.to_string(), ALLOWED));
     }
-    match statement.visit(&mut Queries) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(found) => Err(bad(&found, ALLOWED)),
-    }
-}
-
-/// Stops at a query whose body changes something.
-struct Queries;
-
-impl Visitor for Queries {
-    type Break = String;
-
-    fn pre_visit_query(&mut self, query: &Query) -> ControlFlow<String> {
-        match changes(&query.body) {
-            Some(found) => ControlFlow::Break(found),
-            None => ControlFlow::Continue(()),
+    let mut found = None;
+    walk::all(statement, &mut |met| {
+        if let Met::Query(query) = met {
+            found = found.take().or_else(|| changes(&query.body));
         }
+        found.is_none()
+    });
+    match found {
+        Some(found) => Err(bad(&found, ALLOWED)),
+        None => Ok(()),
     }
 }
 
@@ -95,17 +85,15 @@ fn changes(body: &SetExpr) -> Option<String> {
 /// # Errors
 /// A table function, such as `read_parquet('...')`: it would read any file of the user.
 pub(super) fn tables(statement: &mut Statement) -> Result<Vec<Table>> {
-    let mut ctes = Ctes::default();
-    let _ = Visit::visit(statement, &mut ctes);
-    ctes.0.iter().try_for_each(|name| new_name(name))?;
-    let mut relations = Relations {
-        ctes: ctes.0,
-        found: Vec::new(),
-    };
-    match VisitMut::visit(statement, &mut relations) {
-        ControlFlow::Continue(()) => Ok(relations.found),
-        ControlFlow::Break(e) => Err(e),
-    }
+    let ctes = ctes(statement);
+    ctes.iter().try_for_each(|name| new_name(name))?;
+    let mut found = Vec::new();
+    walk::change(statement, &mut |part| match part {
+        Part::Table(factor) => check_factor(factor),
+        Part::Name(name) => check_name(name, &ctes, &mut found),
+        _ => Ok(()),
+    })?;
+    Ok(found)
 }
 
 fn table(name: &str) -> Option<Table> {
@@ -124,63 +112,45 @@ fn new_name(name: &str) -> Result<()> {
 }
 
 /// The names that common table expressions have.
-#[derive(Default)]
-struct Ctes(BTreeSet<String>);
-
-impl Visitor for Ctes {
-    type Break = ();
-
-    fn pre_visit_query(&mut self, query: &Query) -> ControlFlow<()> {
-        let ctes = query.with.iter().flat_map(|w| &w.cte_tables);
-        self.0.extend(ctes.map(|c| c.alias.name.value.clone()));
-        ControlFlow::Continue(())
-    }
-}
-
-struct Relations {
-    ctes: BTreeSet<String>,
-    found: Vec<Table>,
-}
-
-impl VisitorMut for Relations {
-    type Break = Error;
-
-    fn pre_visit_table_factor(&mut self, factor: &mut TableFactor) -> ControlFlow<Error> {
-        let alias = match factor {
-            TableFactor::Table { args: None, alias, .. }
-            | TableFactor::Derived { alias, .. }
-            | TableFactor::NestedJoin { alias, .. }
-            | TableFactor::UNNEST { alias, .. } => alias,
-            other => return ControlFlow::Break(bad(&other.to_string(), all_tables())),
-        };
-        match alias.as_ref().map(|a| new_name(&a.name.value)) {
-            Some(Err(e)) => ControlFlow::Break(e),
-            _ => ControlFlow::Continue(()),
-        }
-    }
-
-    fn pre_visit_relation(&mut self, name: &mut ObjectName) -> ControlFlow<Error> {
-        let known = match name.0.as_mut_slice() {
-            [ObjectNamePart::Identifier(ident)] => self.note(ident),
-            _ => false,
-        };
-        match known {
-            true => ControlFlow::Continue(()),
-            false => ControlFlow::Break(bad(&format!("table {name}"), all_tables())),
-        }
-    }
-}
-
-impl Relations {
-    /// Whether a name is that of a table or a common table expression.
-    fn note(&mut self, ident: &mut Ident) -> bool {
-        let Some(table) = table(&ident.value) else {
-            return self.ctes.contains(&ident.value);
-        };
-        ident.value = table.name().into();
-        if !self.found.contains(&table) {
-            self.found.push(table);
+fn ctes(statement: &Statement) -> BTreeSet<String> {
+    let mut names = BTreeSet::new();
+    walk::all(statement, &mut |met| {
+        if let Met::Query(query) = met {
+            let ctes = query.with.iter().flat_map(|w| &w.cte_tables);
+            names.extend(ctes.map(|c| c.alias.name.value.clone()));
         }
         true
+    });
+    names
+}
+
+/// Refuses table functions, and what is called like a table.
+fn check_factor(factor: &TableFactor) -> Result<()> {
+    let alias = match factor {
+        TableFactor::Table { args: None, alias, .. }
+        | TableFactor::Derived { alias, .. }
+        | TableFactor::NestedJoin { alias, .. }
+        | TableFactor::UNNEST { alias, .. } => alias,
+        other => return Err(bad(&other.to_string(), all_tables())),
+    };
+    alias.as_ref().map_or(Ok(()), |a| new_name(&a.name.value))
+}
+
+/// Refuses a name that is neither that of a table nor of a common table expression; notes a table.
+fn check_name(name: &mut ObjectName, ctes: &BTreeSet<String>, found: &mut Vec<Table>) -> Result<()> {
+    let unknown = bad(&format!("table {name}"), all_tables());
+    let [ObjectNamePart::Identifier(ident)] = name.0.as_mut_slice() else {
+        return Err(unknown);
+    };
+    match table(&ident.value) {
+        Some(table) => {
+            ident.value = table.name().into();
+            if !found.contains(&table) {
+                found.push(table);
+            }
+            Ok(())
+        }
+        None if ctes.contains(&ident.value) => Ok(()),
+        None => Err(unknown),
     }
 }
