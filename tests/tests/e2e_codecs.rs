@@ -29,12 +29,8 @@ fn recording() -> &'static (PathBuf, Value) {
 fn rewritten(path: &Path, settings: WriterPropertiesBuilder, with_metadata: bool) {
     let (source, _) = recording();
     let (schema, batches) = read_table(source).unwrap();
-    let pairs = if with_metadata {
-        metadata(source).unwrap()
-    } else {
-        Default::default()
-    };
-    let ours = pairs.into_iter().filter(|(k, _)| k.starts_with("ema."));
+    let pairs = metadata(source).unwrap().into_iter();
+    let ours = pairs.filter(|(k, _)| with_metadata && k.starts_with("ema."));
     let settings = settings.set_key_value_metadata(Some(ours.map(|(k, v)| KeyValue::new(k, v)).collect()));
     let file = std::fs::File::create(path).unwrap();
     let mut w = ArrowWriter::try_new(file, schema, Some(settings.build())).unwrap();

@@ -5,7 +5,7 @@ use super::{columns, query, quoted};
 use schemas::error::Result;
 use sqlparser::ast::{
     BinaryOperator, Expr, Function, GroupByExpr, Ident, Join, JoinConstraint, JoinOperator, Query, Select, SelectItem,
-    SetExpr, TableFactor, TableWithJoins,
+    SetExpr, TableFactor,
 };
 
 /// The parts of `a AND b AND c`.
@@ -182,7 +182,9 @@ pub(super) fn scalar_subqueries(select: &mut Select, name: &mut dyn FnMut(&str) 
             continue;
         };
         let join = made.from.remove(0).joins.remove(0);
-        select.from.last_mut().map(|t: &mut TableWithJoins| t.joins.push(join));
+        if let Some(last) = select.from.last_mut() {
+            last.joins.push(join);
+        }
     }
     Ok(())
 }
