@@ -227,10 +227,7 @@ impl Campaign {
             surfaces: self.surfaces(set),
         };
         let diagnoser = Diagnoser::new(set.clone(), Some(calibration.clone()), COVERAGE, &Vec::new())?;
-        let score = |(u, raw): (&Unit, &RawFeatures)| diagnoser.score(&set.features(raw), u.fault.fsj, u.fault.zeta);
-        let tests = self.scores.0.iter().zip(&self.scores.1);
-        let scores: Vec<Score> = tests.filter_map(score).collect();
-        score_all(&mut calibration, &scores);
+        score_all(&mut calibration, &scores(&diagnoser, &self.scores.0, &self.scores.1));
         Ok(calibration)
     }
 
@@ -251,6 +248,15 @@ impl Campaign {
         let samples: Vec<Sample> = self.surface.0.iter().zip(&self.surface.1).filter_map(sample).collect();
         (!samples.is_empty()).then(|| ResponseSurfaces::fit(Scale { fsj, zeta }, &samples))
     }
+}
+
+/// Scores of simulated tests; those that no diagnosis can be made of have none.
+pub(crate) fn scores(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) -> Vec<Score> {
+    let score = |(u, raw): (&Unit, &RawFeatures)| {
+        let features = diagnoser.maps.features(raw);
+        diagnoser.score(&features, u.fault.fsj, u.fault.zeta)
+    };
+    units.iter().zip(measured).filter_map(score).collect()
 }
 
 /// Fills a calibration with the scores of tests.

@@ -22,8 +22,9 @@ pub fn guarded<T>(read: impl FnOnce() -> T) -> std::result::Result<T, &'static s
             }
         }));
     });
-    GUARDED.set(true);
+    // one guarded reading may be part of another
+    let before = GUARDED.replace(true);
     let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(read));
-    GUARDED.set(false);
+    GUARDED.set(before);
     done.map_err(|_| "damaged within")
 }

@@ -326,7 +326,11 @@ pub struct Recording {
     pub rows: u64,
 }
 
-fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
+/// A Parquet file by its footer, which declares no more than the file can hold.
+///
+/// # Errors
+/// A file that is not there, is empty, is not whole, or whose footer contradicts itself.
+pub fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
     let file = File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
     let size = file.metadata().map_err(|e| Error::io(path, "cannot be read", e))?.len();
     if size == 0 {

@@ -204,6 +204,22 @@ pub struct Progress {
     pub wanted: u64,
 }
 
+/// Whether a window is complete.
+fn whole(window: Option<Window>, seen: u64) -> bool {
+    window.is_some_and(|w| w.len() == seen)
+}
+
+/// What was measured and cannot be true.
+struct Suspects {
+    /// of the speed in the regime window [rad/s]
+    jump: Option<Outlier>,
+    /// of the sum of the phase currents [A]
+    regime_sum: Option<Outlier>,
+    sine_sum: Option<Outlier>,
+    /// by how much the currents are late, negative where the speed is [s]
+    late_s: Option<f64>,
+}
+
 /// Streaming extractor of one run.
 #[derive(Clone, Debug)]
 pub struct FeatureExtractor {
@@ -319,16 +335,11 @@ impl FeatureExtractor {
             let from = (view.first + rows.start as u64 - w.from.min(view.first + rows.start as u64)) as usize;
             let monitor = &self.plan.monitor_a[from.min(self.plan.monitor_a.len())..];
             if let ([Some(a), Some(b), Some(c)], false) = (phases, self.plan.equivalent_current) {
-                for ((a, b), (c, m)) in a[rows.clone()]
-                    .iter()
-                    .zip(&b[rows.clone()])
-                    .zip(c[rows.clone()].iter().zip(monitor))
-                {
-                    let d = 0.5 * (a.abs() + b.abs() + c.abs()) - m;
+                for (i, m) in rows.clone().zip(monitor) {
+                    let phases = [a[i], b[i], c[i]];
+                    let d = 0.5 * (phases[0].abs() + phases[1].abs() + phases[2].abs()) - m;
                     self.sine_sum2 += d * d;
-                }
-                for i in rows.clone() {
-                    self.sine_phase_sum.push(view.first + i as u64, [a[i], b[i], c[i]]);
+                    self.sine_phase_sum.push(view.first + i as u64, phases);
                 }
                 self.sine_seen += rows.len() as u64;
             } else if let Some(i) = view.column(Channel::IEq) {
@@ -387,7 +398,7 @@ impl FeatureExtractor {
         };
         let rows = w.rows(view);
         let first = view.first + rows.start as u64;
-        if rows.is_empty() || first != w.from + self.onset.seen() {
+        if rows.is_empty() || self.onset.is_known() || first != w.from + self.onset.seen() {
             return;
         }
         let sign = 1f64.copysign(self.plan.step_rad);
@@ -402,9 +413,16 @@ impl FeatureExtractor {
         }
     }
 
-    /// By how much the currents are late; negative where the speed is [s].
-    fn late_s(&self) -> Option<f64> {
-        self.plan.onset.and_then(|plan| self.onset.late_s(&plan))
+    /// What cannot be true, in windows that are complete.
+    fn suspects(&self) -> Suspects {
+        let (regime, sine) = (self.plan.regime, self.plan.sine);
+        let within = |w, seen, found: Option<Outlier>| found.filter(|_| whole(w, seen));
+        Suspects {
+            jump: within(regime, self.regime_seen, self.regime_jumps.outlier()),
+            regime_sum: within(regime, self.current_seen, self.regime_sum.outlier()),
+            sine_sum: within(sine, self.sine_seen, self.sine_phase_sum.outlier()),
+            late_s: self.plan.onset.and_then(|plan| self.onset.late_s(&plan)),
+        }
     }
 
     /// Motor angle at sample 1, once it has come [rad].
@@ -435,16 +453,15 @@ impl FeatureExtractor {
 
     /// What has been measured; a feature whose window is not complete is `None`.
     pub fn features(&self) -> RawFeatures {
-        let whole = |w: Option<Window>, seen: u64| w.is_some_and(|w| w.len() == seen);
         let n = self.regime_seen as f64;
         let regime = whole(self.plan.regime, self.regime_seen);
         let mean = self.sum / n;
         let phases = whole(self.plan.regime, self.current_seen) && !self.plan.equivalent_current;
         let sine = whole(self.plan.sine, self.sine_seen);
-        let speed_holds = regime && self.regime_jumps.outlier().is_none();
-        let is_late = self.late_s().is_some();
-        let regime_holds = phases && self.regime_sum.outlier().is_none() && !is_late;
-        let sine_holds = sine && self.sine_phase_sum.outlier().is_none() && !is_late;
+        let suspect = self.suspects();
+        let speed_holds = regime && suspect.jump.is_none();
+        let regime_holds = phases && suspect.regime_sum.is_none() && suspect.late_s.is_none();
+        let sine_holds = sine && suspect.sine_sum.is_none() && suspect.late_s.is_none();
         let even = self.witness.even_current_a().filter(|_| sine_holds);
         let value = |raw| match raw {
             // a step down runs with negative speed: the mean is counted in the step's direction
@@ -479,7 +496,7 @@ impl FeatureExtractor {
         }
         if self.plan.ramp.is_some() && self.breakaway_rad.is_none() && self.rest_rad.is_none() {
             v.push("rest position: sample 1 is missing".into());
-        } else if self.plan.ramp.is_some_and(|w| w.len() == self.ramp_seen) && self.breakaway_rad.is_none() {
+        } else if whole(self.plan.ramp, self.ramp_seen) && self.breakaway_rad.is_none() {
             v.push("P3: the motor does not leave rest in the ramp".into());
         }
         v.extend(self.untrue());
@@ -488,43 +505,35 @@ impl FeatureExtractor {
 
     /// What was measured and cannot be true, in words; the features that it enters are left out.
     fn untrue(&self) -> Vec<String> {
-        let at = |o: Outlier| format!("sample {} ({:.4} s)", o.sample, o.sample as f64 / self.plan.rate_hz);
+        let Suspects {
+            jump,
+            regime_sum,
+            sine_sum,
+            late_s,
+        } = self.suspects();
+        let outlier = |window: &str, o: Outlier, what: String| {
+            let time_s = o.sample as f64 / self.plan.rate_hz;
+            format!(
+                "{window}: sample {} ({time_s:.4} s) is no measurement: {what}, far beyond all others",
+                o.sample
+            )
+        };
         let mut v = Vec::new();
-        let sums = [
-            (self.plan.regime, self.current_seen, &self.regime_sum, "step"),
-            (self.plan.sine, self.sine_seen, &self.sine_phase_sum, "sine"),
-        ];
-        for (window, seen, sum, name) in sums {
-            if let Some(o) = sum.outlier().filter(|_| window.is_some_and(|w| w.len() == seen)) {
-                let what = format!("the phase currents sum to {:.2} A", o.size);
-                v.push(format!(
-                    "{name}: {} is no measurement: {what}, far beyond all others",
-                    at(o)
-                ));
-            }
+        for (window, found) in [("step", regime_sum), ("sine", sine_sum)] {
+            v.extend(found.map(|o| outlier(window, o, format!("the phase currents sum to {:.2} A", o.size))));
         }
-        if let Some(o) = self
-            .regime_jumps
-            .outlier()
-            .filter(|_| self.plan.regime.is_some_and(|w| w.len() == self.regime_seen))
-        {
-            let what = format!("the speed jumps by {:.1} rad/s and back", o.size);
-            v.push(format!(
-                "step: {} is no measurement: {what}, far beyond all others",
-                at(o)
-            ));
-        }
-        if let Some(late) = self.late_s() {
+        v.extend(jump.map(|o| outlier("step", o, format!("the speed jumps by {:.1} rad/s and back", o.size))));
+        v.extend(late_s.map(|late| {
             let (one, other) = if late > 0.0 {
                 ("current", "speed")
             } else {
                 ("speed", "current")
             };
-            v.push(format!(
+            format!(
                 "step: the {one} comes {:.2} ms later than the {other} says",
                 1e3 * late.abs()
-            ));
-        }
+            )
+        }));
         v
     }
 }

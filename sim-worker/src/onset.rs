@@ -98,6 +98,11 @@ impl Onset {
         self.seen += 1;
     }
 
+    /// Whether all levels have been reached: what comes says no more.
+    pub fn is_known(&self) -> bool {
+        self.current.at.is_some() && self.speed.iter().all(|c| c.at.is_some())
+    }
+
     /// Samples taken.
     pub fn seen(&self) -> u64 {
         self.seen
@@ -150,7 +155,7 @@ fn simulated(actuator: &ActuatorParameters, height_rad: f64, rate_hz: f64) -> Re
     let experiment = Experiment::new(sequence, rate_hz, channels, None, actuator.step_s)?;
     let lane = Lane {
         actuator: Arc::new(actuator.clone()),
-        fault: FaultState { fsj: 1.0, zeta: 0.0 },
+        fault: FaultState::NOMINAL,
         rest_angle_rad: 0.0,
         load_n_m: 0.0,
     };

@@ -194,33 +194,41 @@ fn e2e_a_killed_simulation_resumes_to_the_same_bytes() {
     assert_eq!(contents(&old).len(), 1);
 }
 
+/// Runs, sends Ctrl-C after a while, and expects to hear of it.
 #[cfg(unix)]
-#[test]
-fn e2e_ctrl_c_leaves_things_clean() {
-    let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("d");
-    let child = ema(&[])
-        .args([
-            "simulate",
-            "--grid",
-            "fine",
-            "--keep",
-            "features",
-            "--jobs",
-            "1",
-            "--out",
-            text(&out),
-        ])
+fn interrupted(args: &[&str], after: Duration) {
+    let mut program = ema(&[]);
+    let child = program
+        .args(args)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    std::thread::sleep(Duration::from_millis(700));
+    std::thread::sleep(after);
     let pid = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
     let o = child.wait_with_output().unwrap();
     assert_eq!(o.status.code(), Some(130), "{}", String::from_utf8_lossy(&o.stderr));
     assert!(String::from_utf8_lossy(&o.stderr).contains("interrupted"));
+}
+
+#[cfg(unix)]
+#[test]
+fn e2e_ctrl_c_leaves_things_clean() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("d");
+    let simulate = [
+        "simulate",
+        "--grid",
+        "fine",
+        "--keep",
+        "features",
+        "--jobs",
+        "1",
+        "--out",
+        text(&out),
+    ];
+    interrupted(&simulate, Duration::from_millis(700));
     assert!(contents(&out).keys().all(|k| !k.contains(".tmp-")));
 }
 
@@ -236,18 +244,8 @@ fn e2e_a_study_gives_up_at_ctrl_c_and_writes_nothing() {
         &["--sequence", "multisine", "--out", text(&recording)],
     ]
     .concat());
-    let child = ema(&[])
-        .args(["discrepancy", "--bench", text(&recording), "--out", text(&out)])
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    std::thread::sleep(Duration::from_millis(150));
-    let pid = child.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-    let o = child.wait_with_output().unwrap();
-    assert_eq!(o.status.code(), Some(130), "{}", String::from_utf8_lossy(&o.stderr));
-    assert!(String::from_utf8_lossy(&o.stderr).contains("interrupted"));
+    let study = ["discrepancy", "--bench", text(&recording), "--out", text(&out)];
+    interrupted(&study, Duration::from_millis(150));
     assert!(!out.exists() || contents(&out).is_empty());
 }
 

@@ -1,9 +1,10 @@
 //! Files whose numbers lie, and files with bytes changed at random: one line each, and no more memory than the file
 //! is worth.
+use ema_tests::mutation::changed;
 use parquet::file::metadata::{ColumnChunkMetaData, ParquetMetaData, ParquetMetaDataReader};
 use parquet::file::metadata::{ParquetMetaDataWriter, RowGroupMetaData};
 use pipeline::input::open;
-use rand::{Rng, RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::recording::{Provenance, Recorder};
@@ -184,35 +185,6 @@ fn refuse_a_csv_of_many_columns_in_one_short_line() {
     assert_eq!(open(&file, None).unwrap().telemetry.rows(), 19);
 }
 
-/// One to four changes: bytes, a stretch of one byte, a cut, bytes twice.
-fn mutate(bytes: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
-    let mut b = bytes.to_vec();
-    for _ in 0..rng.random_range(1..5) {
-        let at = rng.random_range(0..b.len());
-        match rng.random_range(0..10) {
-            0 => b.truncate(at.max(1)),
-            1 => {
-                let end = (at + rng.random_range(1..64)).min(b.len());
-                b.splice(
-                    at..at,
-                    bytes[at.min(bytes.len() - 1)..]
-                        .iter()
-                        .copied()
-                        .take(end - at)
-                        .collect::<Vec<_>>(),
-                );
-            }
-            2 => {
-                let end = (at + rng.random_range(1..16)).min(b.len());
-                b[at..end].fill([0, 0x7f, 0x80, 0xff][rng.random_range(0..4)]);
-            }
-            3 => b[at] ^= 1 << rng.random_range(0..8),
-            _ => b[at] = rng.next_u32() as u8,
-        }
-    }
-    b
-}
-
 /// Mutations of each sort of file: `EMA_MUTATIONS`, or few enough for every day.
 fn mutations() -> u64 {
     let asked = std::env::var("EMA_MUTATIONS").ok();
@@ -238,7 +210,7 @@ fn prop_damaged_files_are_read_or_refused_in_one_line() {
         open(&file, None).expect(name);
         for seed in 0..mutations() {
             let mut rng = ChaCha8Rng::seed_from_u64(seed + ((k as u64) << 32));
-            std::fs::write(&file, mutate(bytes, &mut rng)).unwrap();
+            std::fs::write(&file, changed(&mut rng, bytes)).unwrap();
             let start = Instant::now();
             let done = catch_unwind(AssertUnwindSafe(|| open(&file, None).map(|_| ())));
             slowest = slowest.max(start.elapsed());

@@ -1,6 +1,7 @@
 //! The journal of a Parquet log: rows that are not in the table yet, as an Arrow IPC stream, appended.
 
 use super::lines::append;
+use super::table::beside;
 use arrow::array::RecordBatch;
 use arrow::datatypes::Schema;
 use arrow::ipc::reader::StreamReader;
@@ -31,12 +32,6 @@ pub(super) struct Left {
     pub rows: Vec<RecordBatch>,
 }
 
-/// File of a table's journal.
-pub(super) fn file_of(table: &Path) -> PathBuf {
-    let name = table.file_name().unwrap_or_default().to_string_lossy();
-    table.with_file_name(format!(".{name}.journal"))
-}
-
 /// A stream into memory; its first bytes say which journal it is.
 fn begin(schema: &Schema) -> (String, StreamWriter<Vec<u8>>) {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -52,7 +47,7 @@ impl Journal {
     /// # Errors
     /// A file that cannot be opened or read; rows of another table.
     pub fn open(table: &Path, schema: &Arc<Schema>) -> Result<(Self, Left)> {
-        let path = file_of(table);
+        let path = beside(table, "journal");
         let options = OpenOptions::new().read(true).append(true).create(true).clone();
         let mut file = options
             .open(&path)

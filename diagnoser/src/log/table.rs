@@ -10,7 +10,6 @@ use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::datatypes::{DataType, Field, Schema, UInt64Type};
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::column::writer::ColumnCloseResult;
 use parquet::file::metadata::{KeyValue, ParquetMetaData};
 use parquet::file::properties::WriterProperties;
@@ -18,6 +17,8 @@ use parquet::file::reader::{ChunkReader, FileReader};
 use parquet::file::serialized_reader::SerializedFileReader;
 use parquet::file::writer::SerializedFileWriter;
 use schemas::error::{Error, Result, temporary};
+use schemas::guard::guarded;
+use schemas::recording::open;
 use schemas::stream::wire::to_text;
 use std::fs::File;
 use std::io::Write;
@@ -73,8 +74,9 @@ impl Table {
         lock(&lock_file, path)?;
         sweep(path);
         let schema = to_batch(&[]).schema();
-        let found = find(path, &schema)?;
-        let (journal, left) = Journal::open(path, &schema)?;
+        // what a process left may be damaged
+        let read = || Ok((find(path, &schema)?, Journal::open(path, &schema)?));
+        let (found, (journal, left)) = guarded(read).unwrap_or_else(|e| Err(Error::torn(path, e)))?;
         let mut table = Self {
             path: path.into(),
             schema,
@@ -122,7 +124,7 @@ impl Table {
 
     /// Streams of the last rows.
     pub fn concluded(&self) -> Vec<StreamId> {
-        streams(&self.path).unwrap_or_default()
+        guarded(|| streams(&self.path)).map_or(Vec::new(), Result::unwrap_or_default)
     }
 
     /// Takes the rows of the journal into the table. On a failure they stay in the journal.
@@ -211,7 +213,7 @@ fn in_memory(rows: &RecordBatch, journal: &str) -> parquet::errors::Result<Vec<u
 }
 
 /// A hidden file beside a table.
-fn beside(table: &Path, what: &str) -> PathBuf {
+pub(super) fn beside(table: &Path, what: &str) -> PathBuf {
     let name = table.file_name().unwrap_or_default().to_string_lossy();
     table.with_file_name(format!(".{name}.{what}"))
 }
@@ -268,11 +270,6 @@ fn find(path: &Path, schema: &Arc<Schema>) -> Result<Found> {
         tail,
         journal: journal.unwrap_or_default(),
     })
-}
-
-fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
-    let file = File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-    ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| Error::torn(path, e))
 }
 
 fn same_columns(path: &Path, found: &Schema, schema: &Schema) -> Result<()> {

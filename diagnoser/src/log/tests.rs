@@ -213,3 +213,37 @@ fn prop_an_earlier_log_says_which_streams_are_concluded() {
     }
     std::fs::remove_dir_all(&dir).unwrap();
 }
+
+#[test]
+fn prop_a_damaged_table_or_journal_is_taken_up_or_refused_in_one_line() {
+    let dir = folder("damaged");
+    let path = dir.join("log.parquet");
+    write(&path, 0..5);
+    let mut table = Table::open(&path).unwrap();
+    table.write(&[logged(5), logged(6)]).unwrap();
+    drop(table);
+    let files = [path.clone(), dir.join(".log.parquet.journal")];
+    let whole = files.each_ref().map(|f| std::fs::read(f).unwrap());
+    assert!(whole.iter().all(|b| b.len() > 500));
+    let mut refused = 0;
+    for (k, bytes) in whole.iter().enumerate() {
+        for at in (0..bytes.len()).step_by(3) {
+            for (file, bytes) in files.iter().zip(&whole) {
+                std::fs::write(file, bytes).unwrap();
+            }
+            let mut changed = bytes.clone();
+            changed[at] ^= 0xff;
+            std::fs::write(&files[k], changed).unwrap();
+            // a panic would end the test
+            match Table::open(&path).map(|t| t.concluded()) {
+                Err(e) => {
+                    refused += 1;
+                    assert!(!e.to_string().contains('\n'), "{e}");
+                }
+                Ok(streams) => assert!(streams.len() <= 7, "byte {at}"),
+            }
+        }
+    }
+    assert!(refused > 100, "{refused}");
+    std::fs::remove_dir_all(&dir).unwrap();
+}

@@ -45,7 +45,8 @@ enum News {
 /// The two threads that fetch maps.
 pub(super) struct MapThreads {
     find: Sender<MapKey>,
-    make: Sender<MapKey>,
+    /// none where making is not wanted: then a search without success is an answer
+    make: Option<Sender<MapKey>>,
     told: Receiver<(MapKey, News)>,
     /// saved maps that are being looked for
     pub looking: u64,
@@ -68,18 +69,16 @@ fn answering(tell: Sender<(MapKey, News)>, answer: impl Fn(&MapKey) -> News + Se
 impl MapThreads {
     pub fn start(source: MapSource) -> Self {
         let (tell, told) = channel();
-        let (find, can_make) = (source.find, source.make.as_ref().err().cloned());
-        let find = answering(tell.clone(), move |key| match (find(key), &can_make) {
+        let MapSource { find, make } = source;
+        let hint = make.as_ref().err().cloned();
+        let find = answering(tell.clone(), move |key| match (find(key), &hint) {
             (Some(maps), _) => News::Found(Box::new(maps)),
             (None, Some(hint)) => News::Found(Box::new(Err(no_maps(key, hint)))),
             (None, None) => News::NoSaved,
         });
-        let make = answering(tell, move |key| {
-            News::Made(Box::new(match &source.make {
-                Ok(make) => make(key),
-                Err(hint) => Err(no_maps(key, hint)),
-            }))
-        });
+        let make = make
+            .ok()
+            .map(|make| answering(tell, move |key| News::Made(Box::new(make(key)))));
         Self {
             find,
             make,
@@ -95,7 +94,7 @@ impl MapThreads {
             let _ = self.find.send(key);
         }
         for key in live.to_make() {
-            let _ = self.make.send(key);
+            let _ = self.make.as_ref().map(|make| make.send(key));
         }
     }
 

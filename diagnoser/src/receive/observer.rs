@@ -2,10 +2,11 @@
 //! systemd (ready, and alive again and again).
 
 use super::words::{Complain, Counts};
+use schemas::error::write_whole;
 use std::fmt::Write;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -135,22 +136,16 @@ fn writing(path: PathBuf, complain: Complain) -> SyncSender<String> {
     std::thread::spawn(move || {
         let mut is_told = false;
         for text in receiver {
-            if let Err(e) = write(&path, &text)
+            // readers see the old text or the new one
+            if let Err(e) = write_whole(&path, text.as_bytes())
                 && !is_told
             {
                 is_told = true;
-                complain(&format!("{}: cannot be written: {e}", path.display()));
+                complain(&e.to_string());
             }
         }
     });
     sender
-}
-
-/// Readers see the old text or the new one.
-fn write(path: &Path, text: &str) -> std::io::Result<()> {
-    let tmp = schemas::error::temporary(path);
-    std::fs::write(&tmp, text)?;
-    std::fs::rename(&tmp, path).inspect_err(|_| drop(std::fs::remove_file(&tmp)))
 }
 
 #[cfg(test)]
@@ -180,7 +175,11 @@ mod tests {
             assert!(text.lines().any(|l| l == line), "{line} in {text}");
         }
         let path = std::env::temp_dir().join(format!("ema-metrics-{}.prom", std::process::id()));
-        write(&path, &text).unwrap();
+        let numbers = writing(path.clone(), std::sync::Arc::new(|text: &str| panic!("{text}")));
+        numbers.send(text.clone()).unwrap();
+        while std::fs::read_to_string(&path).is_err() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
         assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
         std::fs::remove_file(&path).unwrap();
     }

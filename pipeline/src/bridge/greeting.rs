@@ -77,17 +77,15 @@ impl Hello {
         b[32..].copy_from_slice(&self.nonce);
         b
     }
-    fn from_bytes(b: &[u8; HELLO]) -> Result<Self> {
-        if b[..8] != MAGIC {
-            bail!("not a bridge of this version");
-        }
+    /// Of bytes that begin with [`MAGIC`].
+    fn from_bytes(b: &[u8; HELLO]) -> Self {
         let word = |i: usize| u32::from_le_bytes(std::array::from_fn(|k| b[i + k]));
-        Ok(Self {
+        Self {
             flags: word(8),
             idle_ms: word(12),
             session: std::array::from_fn(|k| b[16 + k]),
             nonce: std::array::from_fn(|k| b[32 + k]),
-        })
+        }
     }
     fn has_secret(&self) -> bool {
         self.flags & HAS_SECRET != 0
@@ -123,7 +121,7 @@ fn hello_of(link: &Link, wait: &Wait<'_>) -> Result<([u8; HELLO], Hello)> {
         bail!("not a bridge of this version");
     }
     link.read_exact(&mut bytes[8..], wait)?;
-    Ok((bytes, Hello::from_bytes(&bytes)?))
+    Ok((bytes, Hello::from_bytes(&bytes)))
 }
 
 fn said(first: &[u8; HELLO], second: &[u8; HELLO], link: &Link) -> Result<Vec<u8>> {

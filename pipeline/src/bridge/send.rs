@@ -63,6 +63,17 @@ struct Sender {
 }
 
 impl Sender {
+    fn new(domain: &Domain) -> schemas::error::Result<Self> {
+        Ok(Self {
+            subscriber: Subscriber::open(domain)?,
+            session: rand::random(),
+            numbers: HashMap::new(),
+            waiting: Vec::new(),
+            seen: 0,
+            traffic: Traffic::default(),
+        })
+    }
+
     /// Number on the wire of a frame that goes as `parts`; gaps stay gaps. `None`: its number was passed.
     fn number(&mut self, h: &FrameHeader, parts: u64) -> Option<u64> {
         self.seen += 1;
@@ -249,14 +260,7 @@ pub fn send(
     say: &dyn Fn(&str),
 ) -> Result<Traffic> {
     let to = address(to)?;
-    let mut sender = Sender {
-        subscriber: Subscriber::open(domain)?,
-        session: rand::random(),
-        numbers: HashMap::new(),
-        waiting: Vec::new(),
-        seen: 0,
-        traffic: Traffic::default(),
-    };
+    let mut sender = Sender::new(domain)?;
     let mut pause = AGAIN;
     while go_on() {
         let Some(socket) = connect(to, patience, go_on)? else {
@@ -321,14 +325,7 @@ mod tests {
 
     fn sender(name: &str) -> Sender {
         let domain = Domain::new(&format!("unit-{}-{name}", std::process::id())).unwrap();
-        Sender {
-            subscriber: Subscriber::open(&domain).unwrap(),
-            session: [0; 16],
-            numbers: HashMap::new(),
-            waiting: Vec::new(),
-            seen: 0,
-            traffic: Traffic::default(),
-        }
+        Sender::new(&domain).unwrap()
     }
 
     fn header(kind: u32, stream: u64, frame: u64) -> FrameHeader {

@@ -2,7 +2,7 @@
 
 use super::maps::{maps_of, pairs};
 use super::{Dataset, Rows, grids};
-use crate::calibrate::{Effort, draw_units, measure, range, score_all};
+use crate::calibrate::{Effort, draw_units, measure, range, score_all, scores};
 use anyhow::Result;
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
@@ -103,7 +103,7 @@ fn calibration(scores: &[Score]) -> Calibration {
 /// maps that are made on first use are calibrated with.
 fn simulated(d: &Dataset, sets: &[Own]) -> Result<Vec<Score>> {
     let each = Effort::QUICK.runs.div_ceil(sets.len().max(1));
-    let mut scores = Vec::new();
+    let mut all = Vec::new();
     for (own, k) in sets.iter().zip(0u64..) {
         let (fsj, zeta) = range(&own.maps);
         // apart from the seeds of the plan's own runs
@@ -117,11 +117,9 @@ fn simulated(d: &Dataset, sets: &[Own]) -> Result<Vec<Score>> {
         let setup = d.plan.setup(own.actuator, own.sequence, own.rest);
         let title = format!("calibration {}", d.plan.actuators[own.actuator].id);
         let measured = measure(&setup, &Spread::none(), &units, &title)?.ok_or(crate::Interrupted)?;
-        let bare = Diagnoser::uncalibrated(own.maps.clone());
-        let tests = units.iter().zip(&measured);
-        scores.extend(tests.filter_map(|(u, raw)| bare.score(&own.maps.features(raw), u.fault.fsj, u.fault.zeta)));
+        all.extend(scores(&Diagnoser::uncalibrated(own.maps.clone()), &units, &measured));
     }
-    Ok(scores)
+    Ok(all)
 }
 
 /// Each actuator's tests by its own maps. The reach of the intervals comes from tests of the whole fleet: odd

@@ -3,11 +3,10 @@
 
 use super::parts::Part;
 use super::plan::DatasetPlan;
-use super::tables::{PartRows, Receipt, Table, features_file};
+use super::tables::{PartRows, Receipt, Table, checksum_of, features_file};
 use crate::noise::FeatureValues;
 use bytes::Bytes;
 use schemas::error::{Error, Result};
-use schemas::fingerprint::checksum;
 use std::path::Path;
 
 /// Metadata with the checksum of all that the file holds.
@@ -104,13 +103,7 @@ impl Compacted {
     }
 
     fn checksum(&self, receipts: &str) -> String {
-        let mut bytes = receipts.as_bytes().to_vec();
-        for (value, deviation) in self.rows.iter().flatten().flatten() {
-            bytes.push(u8::from(value.is_some()));
-            bytes.extend(value.unwrap_or(0.0).to_bits().to_le_bytes());
-            bytes.extend(value.map_or(0.0, |_| *deviation).to_bits().to_le_bytes());
-        }
-        checksum(&bytes)
+        checksum_of(receipts.to_string(), self.rows.iter().flatten())
     }
 }
 

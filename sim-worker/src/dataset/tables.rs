@@ -90,6 +90,17 @@ pub struct Receipt {
     pub rows: u64,
 }
 
+/// Of features to the bit, and of what is said beside them.
+pub(super) fn checksum_of<'a>(beside: String, rows: impl IntoIterator<Item = &'a FeatureValues>) -> String {
+    let mut bytes = beside.into_bytes();
+    for (value, deviation) in rows.into_iter().flatten() {
+        bytes.push(u8::from(value.is_some()));
+        bytes.extend(value.unwrap_or(0.0).to_bits().to_le_bytes());
+        bytes.extend(value.map_or(0.0, |_| *deviation).to_bits().to_le_bytes());
+    }
+    checksum(&bytes)
+}
+
 /// A part's features before the merge.
 pub struct Staged {
     /// by run, in order
@@ -127,13 +138,7 @@ impl Staged {
 
     /// Of all that the merge takes from it: bits that fall over before the merge must not get into the dataset.
     fn checksum(&self) -> String {
-        let mut bytes = format!("{:?}", self.telemetry).into_bytes();
-        for (value, deviation) in self.rows.iter().flatten() {
-            bytes.push(u8::from(value.is_some()));
-            bytes.extend(value.unwrap_or(0.0).to_bits().to_le_bytes());
-            bytes.extend(value.map_or(0.0, |_| *deviation).to_bits().to_le_bytes());
-        }
-        checksum(&bytes)
+        checksum_of(format!("{:?}", self.telemetry), &self.rows)
     }
 
     /// Refuses what is not whole, or of another plan or part.

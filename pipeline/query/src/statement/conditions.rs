@@ -1,5 +1,6 @@
 //! Conditions that polars refuses where SQL allows them, moved to where it takes them.
 
+use super::names::alias;
 use super::walk::{self, Met, Part};
 use super::{columns, query, quoted};
 use schemas::error::Result;
@@ -114,13 +115,6 @@ pub(super) fn of_having(select: &mut Select) {
     let (rows, groups): (Vec<Expr>, Vec<Expr>) = parts(having).into_iter().partition(of_keys);
     select.having = all(groups);
     select.selection = all(select.selection.take().into_iter().chain(rows).collect());
-}
-
-fn alias(item: &SelectItem) -> Option<String> {
-    match item {
-        SelectItem::ExprWithAlias { alias, .. } => Some(alias.value.clone()),
-        _ => None,
-    }
 }
 
 /// Functions of many rows.

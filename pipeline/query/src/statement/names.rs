@@ -46,7 +46,8 @@ pub(super) fn of_columns(select: &mut Select) {
     }
 }
 
-fn alias(item: &SelectItem) -> Option<String> {
+/// The alias of an item; nothing where it has none.
+pub(super) fn alias(item: &SelectItem) -> Option<String> {
     match item {
         SelectItem::ExprWithAlias { alias, .. } => Some(alias.value.clone()),
         _ => None,
