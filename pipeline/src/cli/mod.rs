@@ -73,8 +73,8 @@ enum Commands {
     /// Carry the stream between computers, as Arrow IPC over TCP
     #[command(
         after_help = "Example: on one computer  ema bridge receive --listen 0.0.0.0:7745\n         \
-    on the other     ema bridge send --to HOST:7745\nThere is no encryption and no password: use it on a network that \
-    you trust, or through a tunnel."
+    on the other     ema bridge send --to HOST:7745\n--secret-file on both ends, or \
+    --tls-cert, --tls-key and --tls-ca, keep strangers out; without them use it on a network that you trust."
     )]
     Bridge(stream::BridgeArgs),
     /// Draw maps, diagnoses and telemetry as SVG
