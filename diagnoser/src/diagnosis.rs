@@ -13,8 +13,10 @@ use crate::calibration::{Calibration, WITNESS_GATE, uncalibrated};
 use crate::curves::Cut;
 use crate::estimate::{CovarianceParts, Estimate, Estimator};
 use crate::failure_map::{FailureMap, FailureMapSet};
+use crate::map_library::checked_coverage;
 use crate::paving::{Goal, Part, PavedBox, Paver, Paving};
-use crate::uncertainty::{MOST, Row};
+use crate::uncertainty::{Factors, MOST, Row};
+use nalgebra::{DMatrix, DVector};
 use schemas::error::{Error, Result};
 use schemas::fault::Interval;
 use schemas::feature::{Feature, Features};
@@ -176,10 +178,7 @@ impl Diagnoser {
     /// # Errors
     /// Refuses a coverage outside 0 to 1, a set with too many maps, and a known cause without response.
     pub fn new(maps: FailureMapSet, calibration: Option<Calibration>, coverage: f64, known: &Known) -> Result<Self> {
-        if !(coverage > 0.0 && coverage < 1.0) {
-            let allowed = "a share above 0 and below 1, for example 0.95";
-            return Err(Error::bad("command line", "coverage", coverage, allowed));
-        }
+        checked_coverage(coverage)?;
         maps.check("maps")?;
         let surfaces = calibration.as_ref().and_then(|c| c.surfaces.as_ref());
         if let Some((cause, _)) = known.iter().find(|(c, _)| !surfaces.is_some_and(|s| s.knows(*c))) {
@@ -190,6 +189,37 @@ impl Diagnoser {
             return Err(Error::bad("command line", "--known", cause.known_key(), allowed));
         }
         let estimator = Estimator::new(&maps, calibration.as_ref(), known);
+        Ok(Self::of(maps, calibration, coverage, estimator))
+    }
+
+    /// Maps made ready for a unit of which more is known than how units differ.
+    ///
+    /// * `calibration` of units of which as much is known
+    /// * `factors` what is known
+    ///
+    /// # Errors
+    /// Refuses a coverage outside 0 to 1, and a set with too many maps.
+    pub fn with_factors(
+        maps: FailureMapSet,
+        calibration: Calibration,
+        coverage: f64,
+        factors: &Factors,
+    ) -> Result<Self> {
+        checked_coverage(coverage)?;
+        maps.check("maps")?;
+        let estimator = Estimator::of_unit(&maps, Some(&calibration), Some(factors));
+        Ok(Self::of(maps, Some(calibration), coverage, estimator))
+    }
+
+    /// The same maps and calibration, where something else is known of the unit.
+    #[must_use]
+    pub fn again_with(&self, factors: &Factors) -> Self {
+        let mut other = self.clone();
+        other.estimator.know(self.calibration.as_ref(), factors);
+        other
+    }
+
+    fn of(maps: FailureMapSet, calibration: Option<Calibration>, coverage: f64, estimator: Estimator) -> Self {
         let (reach, gate) = match &calibration {
             Some(c) => (std::array::from_fn(|q| c.reach(coverage, q)), c.gate()),
             None => {
@@ -198,7 +228,7 @@ impl Diagnoser {
             }
         };
         let witness_gate = calibration.as_ref().map_or(WITNESS_GATE, Calibration::witness_gate);
-        Ok(Self {
+        Self {
             maps,
             calibration,
             coverage,
@@ -206,7 +236,7 @@ impl Diagnoser {
             reach,
             gate,
             witness_gate,
-        })
+        }
     }
 
     /// Uncalibrated, for 95 %.
@@ -215,6 +245,16 @@ impl Diagnoser {
     /// A set that [`FailureMapSet::check`] refuses, which is neither made nor loaded.
     pub fn uncalibrated(maps: FailureMapSet) -> Self {
         Self::new(maps, None, COVERAGE, &Vec::new()).expect("no more maps than can be inverted")
+    }
+
+    /// Uncalibrated, by the maps of units too.
+    ///
+    /// # Panics
+    /// As [`Diagnoser::uncalibrated`].
+    pub fn bare_of_unit(maps: FailureMapSet) -> Self {
+        maps.check("maps").expect("no more maps than can be inverted");
+        let estimator = Estimator::of_unit(&maps, None, None);
+        Self::of(maps, None, COVERAGE, estimator)
     }
 
     /// Features that are inverted together: [`FailureMapSet::joint`].
@@ -263,6 +303,25 @@ impl Diagnoser {
         }
         parts.retain(|(_, u)| *u > 0.0);
         parts
+    }
+
+    /// What a test at faults that nobody knows says of the factors of the causes ([`Factors`]): their mean and
+    /// covariance after it, where they had mean 0 and standard deviation 1 before. `None` where a feature is missing.
+    ///
+    /// * `wider` factor on the variances of what maps and sensors err by
+    pub fn factors_given(&self, features: &Features, wider: f64) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let values = self.whole(features)?;
+        let best = self.estimator.best(&values, self.gate)?;
+        Some(self.estimator.factors_given(&values, &best, wider))
+    }
+
+    /// The joint features of a test that lacks none.
+    fn whole(&self, features: &Features) -> Option<Row> {
+        let mut values: Row = [f64::NAN; MOST];
+        for (v, f) in values.iter_mut().zip(self.estimator.features()) {
+            *v = features.get(*f).filter(|v| v.is_finite())?;
+        }
+        Some(values)
     }
 
     /// Covariance of the joint features at a fault pair, by its parts.
@@ -524,10 +583,7 @@ impl Diagnoser {
 
     /// What calibration needs of a test whose true pair is known. `None` where a feature is missing.
     pub fn score(&self, features: &Features, fsj: f64, zeta: f64) -> Option<Score> {
-        let mut values: Row = [f64::NAN; MOST];
-        for (v, f) in values.iter_mut().zip(self.estimator.features()) {
-            *v = features.get(*f).filter(|v| v.is_finite())?;
-        }
+        let values = self.whole(features)?;
         let best = self.estimator.best(&values, self.gate)?;
         let profile = self.estimator.profile(&values, &best, fsj, zeta);
         let witnesses = self.estimator.witnesses(features, &best);

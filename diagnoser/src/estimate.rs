@@ -3,7 +3,8 @@
 use crate::calibration::Calibration;
 use crate::failure_map::{FailureMap, FailureMapSet};
 use crate::paving::{Joint, Lattice, Limits};
-use crate::uncertainty::{Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, Straight};
+use crate::uncertainty::{Factors, Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, Straight};
+use nalgebra::{DMatrix, DVector};
 use schemas::feature::{Feature, Features};
 use sim_worker::spread::{Cause, Known};
 
@@ -100,7 +101,32 @@ pub struct Estimator {
 impl Estimator {
     /// Makes a lattice of the joint maps, four times as fine as their grid, and the covariances on it.
     pub fn new(set: &FailureMapSet, calibration: Option<&Calibration>, known: &Known) -> Self {
-        let maps: Vec<&FailureMap> = set.joint().collect();
+        let factors = calibration.map(|c| {
+            let unknown: Vec<_> = c
+                .spread()
+                .causes()
+                .filter(|(c, _)| !known.iter().any(|(k, _)| k == c))
+                // standard deviation of a uniform distribution
+                .map(|(c, h)| (c, h / 3f64.sqrt()))
+                .collect();
+            Factors::independent(&unknown, known)
+        });
+        Self::of(set, set.joint().collect(), calibration, factors.as_ref())
+    }
+
+    /// The same for a unit, by the maps of units too.
+    ///
+    /// * `factors` what is known of it; none: nothing differs
+    pub fn of_unit(set: &FailureMapSet, calibration: Option<&Calibration>, factors: Option<&Factors>) -> Self {
+        Self::of(set, set.joint_of_unit().collect(), calibration, factors)
+    }
+
+    fn of(
+        set: &FailureMapSet,
+        maps: Vec<&FailureMap>,
+        calibration: Option<&Calibration>,
+        factors: Option<&Factors>,
+    ) -> Self {
         let features: Vec<Feature> = maps.iter().map(|m| m.feature).collect();
         let first = maps[0];
         let ends = |x: &[f64]| (x[0], x[x.len() - 1]);
@@ -143,35 +169,33 @@ impl Estimator {
         for (r, f) in witness_remainder.iter_mut().zip(&witness_names) {
             *r = surfaces.and_then(|s| s.remainder.get(f.name())).copied().unwrap_or(0.0);
         }
-        let (unknown, causes, witness_causes) = match (calibration, surfaces) {
-            (Some(c), Some(s)) => {
-                let unknown: Vec<_> = c
-                    .spread()
-                    .causes()
-                    .filter(|(c, _)| !known.iter().any(|(k, _)| k == c))
-                    // standard deviation of a uniform distribution
-                    .map(|(c, h)| (c, h / 3f64.sqrt()))
-                    .collect();
-                let prepared = |of: &[Feature]| Some(s.prepared(of, &unknown, known));
-                let names = unknown.iter().map(|(c, _)| *c).collect();
-                (names, prepared(&features), prepared(&witness_names))
-            }
-            _ => (Vec::new(), None, None),
-        };
         let mut estimator = Self {
             features,
             lattice,
             variances,
-            causes,
-            unknown,
+            causes: None,
+            unknown: Vec::new(),
             limits,
             starts: Vec::new(),
             witnesses,
-            witness_causes,
+            witness_causes: None,
             witness_remainder,
         };
-        estimator.starts = estimator.make_starts();
+        match factors {
+            Some(factors) if surfaces.is_some() => estimator.know(calibration, factors),
+            _ => estimator.starts = estimator.make_starts(),
+        }
         estimator
+    }
+
+    /// Takes something else for known of the causes.
+    pub fn know(&mut self, calibration: Option<&Calibration>, factors: &Factors) {
+        let surfaces = calibration.and_then(|c| c.surfaces.as_ref());
+        let names: Vec<Feature> = self.witnesses.iter().map(|w| w.feature).collect();
+        self.causes = surfaces.map(|s| s.prepared_factors(&self.features, factors));
+        self.witness_causes = surfaces.map(|s| s.prepared_factors(&names, factors));
+        self.unknown = factors.each.iter().map(|(c, _)| *c).collect();
+        self.starts = self.make_starts();
     }
 
     fn make_starts(&self) -> Vec<Start> {
@@ -451,6 +475,44 @@ impl Estimator {
             Some((w.feature, found, expected, (found - expected) / u))
         };
         self.witnesses.iter().enumerate().filter_map(one).collect()
+    }
+
+    /// What the features of a test say of the unknown causes, whatever the faults are: mean and covariance of the
+    /// factors, which had mean 0 and standard deviation 1 before.
+    ///
+    /// * `wider` factor on the variances that features share with no other
+    pub fn factors_given(&self, values: &Row, best: &Estimate, wider: f64) -> (DVector<f64>, DMatrix<f64>) {
+        let n = self.features.len();
+        let causes = self.unknown.len();
+        let Some(s) = self.straight(best.fsj, best.zeta, &best.guess) else {
+            return (DVector::zeros(causes), DMatrix::identity(causes, causes));
+        };
+        let (maps, by_f, by_z) = self.lattice.with_slopes(best.fsj, best.zeta);
+        let own = self.variance(best.fsj, best.zeta);
+        // faults that nobody knows: a variance far beyond any other
+        let faults = [(by_f, self.limits.f), (by_z, self.limits.z)];
+        let c = DMatrix::from_fn(n, n, |i, j| {
+            let far = |(by, (lo, hi)): &(Row, (f64, f64))| 1e2 * by[i] * by[j] * (hi - lo) * (hi - lo);
+            let diagonal = if i == j { wider * own[i] } else { 0.0 };
+            diagonal + faults.iter().map(far).sum::<f64>()
+        });
+        let slopes = DMatrix::from_fn(n, causes, |i, k| s.slopes[k][i]);
+        let left = DVector::from_fn(n, |i, _| values[i] - s.shift[i] - maps[i]);
+        // by the size of each feature, so that the matrix can be inverted
+        let size = DVector::from_fn(n, |i, _| own[i].sqrt().max(1e-300));
+        let c = DMatrix::from_fn(n, n, |i, j| c[(i, j)] / (size[i] * size[j]));
+        let slopes = DMatrix::from_fn(n, causes, |i, k| slopes[(i, k)] / size[i]);
+        let left = left.component_div(&size);
+        let Some(c) = c.cholesky() else {
+            return (DVector::zeros(causes), DMatrix::identity(causes, causes));
+        };
+        let weighed = c.solve(&slopes);
+        let information = DMatrix::identity(causes, causes) + slopes.transpose() * &weighed;
+        let Some(covariance) = information.try_inverse() else {
+            return (DVector::zeros(causes), DMatrix::identity(causes, causes));
+        };
+        let mean = &covariance * weighed.transpose() * left;
+        (mean, covariance)
     }
 
     /// The set of pairs whose misfit is at most `reach^2` above that of the best pair, within the maps.

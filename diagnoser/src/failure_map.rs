@@ -14,6 +14,9 @@ pub use set::{FailureMapSet, MapSetHeader};
 /// comes in whole samples; its limit is one sample if that is more.
 const BREAK_LIMIT: f64 = 0.03;
 
+/// Range of a map, over what sensors and one sample make of one value, up to which it is flat (assumed).
+const FLAT: f64 = 3.0;
+
 /// Leave-one-out doubles the spacing. What is left of its error at the grid's own spacing is
 /// judged by doubling once more: the error of a smooth feature falls to a quarter (second order)
 /// or less, that of a feature in steps not at all. No more than a quarter is believed.
@@ -133,6 +136,18 @@ impl FailureMap {
         }
         let value = monotone_surface(&raw, zeta.len(), columns, direction);
         let (lo, hi) = raw.iter().fold((f64::MAX, f64::MIN), |(a, b), &v| (a.min(v), b.max(v)));
+        let flat = FLAT * noise.max(sample);
+        if hi - lo <= flat {
+            let (place, found) = (
+                format!("range of {}", feature.name()),
+                format!("{:.3e} {}", hi - lo, feature.unit()),
+            );
+            let allowed = format!(
+                "more than {flat:.3e} {}: a feature that changes with the faults (ema check)",
+                feature.unit()
+            );
+            return Err(Error::bad(file, place, found, allowed));
+        }
         let limit = (BREAK_LIMIT * (hi - lo)).max(sample);
         let broken: Vec<String> = (0..raw.len())
             .filter(|&i| (raw[i] - value[i]).abs() > limit)

@@ -83,6 +83,7 @@ pub mod live;
 pub mod log;
 pub mod map_library;
 pub mod monotone;
+pub mod paper;
 pub mod paving;
 pub mod quality;
 pub mod receive;
@@ -91,6 +92,7 @@ pub mod report;
 pub mod sensitivity;
 pub mod smooth;
 pub mod uncertainty;
+pub mod unit;
 pub mod view;
 
 pub use diagnosis::{Diagnoser, Diagnosis, Outcome};

@@ -16,7 +16,7 @@ use std::sync::Arc;
 pub fn to_json(d: &Diagnosis) -> Value {
     let interval = |lo: Option<f64>, hi: Option<f64>, e: Option<f64>| json!({"lo": lo, "hi": hi, "estimate": e});
     let area = d.outcome.area();
-    let features = Feature::TABLE.map(|f| (f.key().to_string(), json!(d.features.get(f))));
+    let features = Feature::TOLD.map(|f| (f.key().to_string(), json!(d.features.get(f))));
     json!({
         "outcome": d.outcome.name(),
         "fsj": interval(area.map(|a| a.fsj.lo), area.map(|a| a.fsj.hi), area.map(|a| a.centroid.0)),
@@ -143,7 +143,7 @@ pub fn to_message(r: &Report) -> DiagnosisMessage {
         zeta_estimate: of(|a| a.centroid.1),
         area: of(|a| a.size),
         coverage: d.coverage,
-        features: Feature::TABLE.map(|f| known(d.features.get(f))),
+        features: Feature::TOLD.map(|f| known(d.features.get(f))),
         samples_received: r.samples_received,
         samples_lost: r.samples_lost,
         telemetry_ns: r.telemetry_ns,
@@ -216,7 +216,7 @@ pub fn to_batch(rows: &[Logged]) -> RecordBatch {
         false,
         number(&|r| Some(r.report.diagnosis.coverage)),
     );
-    for f in Feature::TABLE {
+    for f in Feature::TOLD {
         let column = number(&|r| r.report.diagnosis.features.get(f));
         add(f.key(), DataType::Float64, true, column);
     }

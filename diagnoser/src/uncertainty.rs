@@ -221,18 +221,19 @@ impl ResponseSurfaces {
     /// * `unknown` causes and their standard deviations
     /// * `known` causes and their deviations
     pub fn prepared(&self, features: &[Feature], unknown: &[(Cause, f64)], known: &[(Cause, f64)]) -> PreparedSurfaces {
+        self.prepared_factors(features, &Factors::independent(unknown, known))
+    }
+
+    /// Prepared for quick evaluation, where what is not known of the causes goes together.
+    pub fn prepared_factors(&self, features: &[Feature], factors: &Factors) -> PreparedSurfaces {
         let acting: Vec<usize> = (0..Cause::COUNT)
             .filter(|&c| self.slopes.values().any(|s| s[c].iter().any(|x| *x != 0.0)))
             .take(ACTING)
             .collect();
         let place = |c: usize| acting.iter().position(|&a| a == c);
-        let share = |&(cause, amount): &(Cause, f64)| {
+        let of_acting = |x: &Deviations| {
             let mut row = [0.0; ACTING];
-            for (through, per_unit) in cause.acts_through() {
-                if let Some(k) = place(through as usize) {
-                    row[k] += amount * per_unit;
-                }
-            }
+            row.iter_mut().zip(&acting).for_each(|(r, &c)| *r = x[c]);
             row
         };
         let mut slopes = vec![[[0.0; MOST]; TERMS]; acting.len()];
@@ -251,16 +252,48 @@ impl ResponseSurfaces {
             }
         }
         bends.truncate(PAIRS);
-        let known = known.iter().map(share).fold([0.0; ACTING], |mut sum, row| {
-            sum.iter_mut().zip(row).for_each(|(s, x)| *s += x);
-            sum
-        });
         PreparedSurfaces {
             scale: self.scale,
             slopes,
             bends,
-            unknown: unknown.iter().map(share).collect(),
-            known,
+            unknown: factors.each.iter().map(|(_, x)| of_acting(x)).collect(),
+            known: of_acting(&factors.middle),
+        }
+    }
+}
+
+/// What is known of causes: their deviations are `middle + sum over k of t_k each_k`, `t_k` independent with mean 0
+/// and standard deviation 1.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Factors {
+    /// most probable, by what acts by itself
+    pub middle: Deviations,
+    /// one standard deviation of each factor, at most [`Cause::COUNT`], and the cause that it is called after
+    pub each: Vec<(Cause, Deviations)>,
+}
+
+impl Factors {
+    /// Causes that have nothing to do with each other.
+    ///
+    /// * `unknown` causes and their standard deviations
+    /// * `known` causes and their deviations
+    pub fn independent(unknown: &[(Cause, f64)], known: &[(Cause, f64)]) -> Self {
+        let mut middle = [0.0; Cause::COUNT];
+        for &(cause, amount) in known {
+            for (through, per_unit) in cause.acts_through() {
+                middle[through as usize] += amount * per_unit;
+            }
+        }
+        let one = |&(cause, amount): &(Cause, f64)| {
+            let mut row = [0.0; Cause::COUNT];
+            for (through, per_unit) in cause.acts_through() {
+                row[through as usize] += amount * per_unit;
+            }
+            (cause, row)
+        };
+        Self {
+            middle,
+            each: unknown.iter().map(one).collect(),
         }
     }
 }

@@ -233,21 +233,34 @@ impl Campaign {
 
     fn surfaces(&self, set: &FailureMapSet) -> Option<ResponseSurfaces> {
         let bare = Diagnoser::uncalibrated(set.clone());
-        let sample = |(u, raw): (&Unit, &RawFeatures)| {
-            let features = set.features(raw);
-            let expected = bare.predicted(u.fault.fsj, u.fault.zeta).into_iter();
-            let residual = expected.map(|(f, map, own)| features.get(f).map(|x| (f, x - map, own)));
-            Some(Sample {
-                fsj: u.fault.fsj,
-                zeta: u.fault.zeta,
-                deviations: deviations(&self.spread, &u.draw),
-                residual: residual.collect::<Option<Vec<_>>>()?,
-            })
-        };
-        let (fsj, zeta) = range(set);
-        let samples: Vec<Sample> = self.surface.0.iter().zip(&self.surface.1).filter_map(sample).collect();
-        (!samples.is_empty()).then(|| ResponseSurfaces::fit(Scale { fsj, zeta }, &samples))
+        surfaces(&bare, &self.spread, &self.surface.0, &self.surface.1)
     }
+}
+
+/// Response surfaces of simulated units; none without units.
+///
+/// * `bare` the maps, without any
+pub(crate) fn surfaces(
+    bare: &Diagnoser,
+    spread: &Spread,
+    units: &[Unit],
+    measured: &[RawFeatures],
+) -> Option<ResponseSurfaces> {
+    let set = &bare.maps;
+    let sample = |(u, raw): (&Unit, &RawFeatures)| {
+        let features = set.features(raw);
+        let expected = bare.predicted(u.fault.fsj, u.fault.zeta).into_iter();
+        let residual = expected.map(|(f, map, own)| features.get(f).map(|x| (f, x - map, own)));
+        Some(Sample {
+            fsj: u.fault.fsj,
+            zeta: u.fault.zeta,
+            deviations: deviations(spread, &u.draw),
+            residual: residual.collect::<Option<Vec<_>>>()?,
+        })
+    };
+    let (fsj, zeta) = range(set);
+    let samples: Vec<Sample> = units.iter().zip(measured).filter_map(sample).collect();
+    (!samples.is_empty()).then(|| ResponseSurfaces::fit(Scale { fsj, zeta }, &samples))
 }
 
 /// Scores of simulated tests; those that no diagnosis can be made of have none.

@@ -7,6 +7,7 @@ use diagnoser::diagnosis::{Diagnoser, Diagnosis, Known, Outcome, parse_known};
 use diagnoser::failure_map::FailureMapSet;
 use diagnoser::live::LOWEST_RATE_HZ;
 use diagnoser::map_library::{self, Choice};
+use diagnoser::unit::UnitFile;
 use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
@@ -39,6 +40,8 @@ pub struct Settings {
     pub choice: Choice,
     /// what is known of the unit: KEY=NUMBER
     pub known: Vec<String>,
+    /// the unit that was tested; one of its type, of which nothing more is known, if `None`
+    pub unit: Option<Arc<UnitFile>>,
 }
 
 /// As well as an actuator's file says that it was identified by a study; nothing differs where it says nothing.
@@ -64,13 +67,15 @@ impl Settings {
             sensors: "auto".into(),
             grid: sim_worker::catalogue::grid("fine")?,
             known: Vec::new(),
+            unit: None,
         })
     }
 
     /// The actuator that a recording is taken for.
     pub fn actuator_of(&self, m: &Measured) -> Arc<ActuatorParameters> {
         let own = || m.setup.as_ref().map(|s| s.actuator.clone());
-        let named = self.actuator.clone().or_else(own);
+        let of_unit = || self.unit.as_ref().map(|u| Arc::new(u.actuator.clone()));
+        let named = of_unit().or_else(|| self.actuator.clone()).or_else(own);
         named.unwrap_or_else(|| Arc::new(ActuatorParameters::reference()))
     }
 }
@@ -87,6 +92,15 @@ pub struct Case {
     pub diagnosis: Diagnosis,
     /// the maps that it was found by
     pub diagnoser: Diagnoser,
+    /// what the telemetry lacks, in words
+    pub missing: Vec<String>,
+}
+
+impl Case {
+    /// Takes the paper's own method in place of the joint inversion.
+    pub fn by_paper(&mut self) {
+        self.diagnosis = diagnoser::paper::diagnose(&self.diagnoser, &self.diagnosis.features, &self.missing);
+    }
 }
 
 /// Features of a recording.
@@ -140,7 +154,12 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, setup: &TestSetup) -> Re
     };
     // what the file says of itself
     let recorded = TestKind {
-        parameters: m.parameters.clone(),
+        // a unit is not the model, whatever its recorder took it for
+        parameters: if s.unit.is_some() {
+            setup.kind().parameters
+        } else {
+            m.parameters.clone()
+        },
         load_n_m: m.load_n_m,
         ..setup.kind()
     };
@@ -161,6 +180,9 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, setup: &TestSetup) -> Re
             return Err(bad(d.place, d.found, format!("{} {more}", d.allowed)).into());
         }
         let known = known(setup.rest_angle_rad)?;
+        if let Some(unit) = &s.unit {
+            return crate::unit::diagnoser(&setup, s, unit, &known);
+        }
         let grid = s.grid.clone();
         return maps::cached(&MapRequest { setup, grid }, &s.choice, &known);
     };
@@ -184,45 +206,77 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, setup: &TestSetup) -> Re
     Ok(s.choice.ready(&file, set, &known)?)
 }
 
-/// Diagnoses a telemetry file.
+/// A recording as the test that it is.
+pub struct TestOf {
+    /// at the rest angle that was measured
+    pub setup: TestSetup,
+    /// whether its first sample is that of the test
+    pub begins: bool,
+    /// before anything nominal is subtracted
+    pub raw: RawFeatures,
+    /// what the telemetry lacks, in words
+    pub missing: Vec<String>,
+}
+
+/// The test that a recording is of, and its features.
 ///
 /// # Errors
-/// Refuses what [`input::open`] refuses, a rate below 1 kHz, and a test of another kind than the maps'. Making
-/// maps may be interrupted ([`crate::Interrupted`]).
-pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
-    let measured = input::open(path, settings.run)?;
+/// Refuses a rate below 1 kHz, and what cannot be recognised.
+pub fn test_of(path: &Path, measured: &Measured, settings: &Settings) -> Result<TestOf> {
     if measured.rate_hz < LOWEST_RATE_HZ * (1.0 - 1e-6) {
         let allowed = format!("a steady rate of at least {} Hz", LOWEST_RATE_HZ);
         return Err(Error::bad(path.display().to_string(), "rate [Hz]", measured.rate_hz, allowed).into());
     }
-    let actuator = settings.actuator_of(&measured);
+    let actuator = settings.actuator_of(measured);
     let sequence = match &measured.setup {
         Some(s) if settings.sequence.is_none() => s.sequence.clone(),
-        _ => input::recognise(path, &measured, settings.sequence.as_deref(), actuator.step_s)?,
+        _ => input::recognise(path, measured, settings.sequence.as_deref(), actuator.step_s)?,
     };
     // the rotor angle at rest is that of the first sample of the test, if it is there
     let begins = measured.telemetry.first == 1;
     let angles = measured.telemetry.column(Channel::ThetaM).filter(|_| begins);
-    let mut setup = TestSetup {
+    let setup = TestSetup {
         actuator,
         sequence,
-        sensors: sensors_of(path, &measured, settings)?,
+        sensors: sensors_of(path, measured, settings)?,
         rate_hz: measured.rate_hz,
         rest_angle_rad: angles.map_or(0.0, |t| t[0]).rem_euclid(std::f64::consts::TAU),
         load_n_m: 0.0,
         equivalent_current: FeaturePlan::lacks_phases(|c| measured.telemetry.column(c).is_some()),
     };
+    let x = extract(measured, Arc::new(setup.feature_plan()));
+    Ok(TestOf {
+        begins,
+        raw: x.features(),
+        missing: x.missing(),
+        setup,
+    })
+}
+
+/// Diagnoses a telemetry file.
+///
+/// # Errors
+/// Refuses what [`input::open`] and [`test_of`] refuse, and a test of another kind than the maps'. Making
+/// maps may be interrupted ([`crate::Interrupted`]).
+pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
+    let measured = input::open(path, settings.run)?;
+    let test = test_of(path, &measured, settings)?;
+    let TestOf {
+        mut setup,
+        raw,
+        begins,
+        mut missing,
+    } = test;
     let diagnoser = chosen_maps(path, &measured, settings, &setup)?;
     let maps = &diagnoser.maps;
-    let x = extract(&measured, Arc::new(setup.feature_plan()));
-    let raw = x.features();
-    let mut diagnosis = diagnoser.diagnose(&maps.features(&raw), &x.missing());
+    let mut diagnosis = diagnoser.diagnose(&maps.features(&raw), &missing);
     if !begins {
         let n = measured.telemetry.first;
-        let mut reason = format!("the recording starts at sample {n}: the rotor angle at rest is unknown");
-        for m in x.missing() {
-            reason += &format!("; {m}");
-        }
+        missing.insert(
+            0,
+            format!("the recording starts at sample {n}: the rotor angle at rest is unknown"),
+        );
+        let reason = missing.join("; ");
         diagnosis.outcome = Outcome::Incomplete { reason, area: None };
         // nothing nominal is known at an unknown angle
         diagnosis.features = Features::over(&raw, &RawFeatures::default());
@@ -235,12 +289,16 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         setup,
         diagnosis,
         diagnoser,
+        missing,
     })
 }
 
 /// What the intervals promise, and on what grounds.
 fn coverage(case: &Case) -> String {
     let percent = 100.0 * case.diagnosis.coverage;
+    if percent.is_nan() {
+        return "coverage  none: the paper's method states none (its bands are the maps', assumed)".into();
+    }
     match &case.diagnoser.calibration {
         Some(c) => {
             let of = if c.spread().is_none() {

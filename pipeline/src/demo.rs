@@ -229,6 +229,7 @@ pub(crate) fn run(out: &Path, grid_name: &str, seeds: u64, file: Option<&Path>) 
         grid: grid.faults.clone(),
         choice,
         known: Vec::new(),
+        unit: None,
     };
     std::fs::create_dir_all(&cases)?;
     let mut table = Vec::new();

@@ -53,6 +53,7 @@ pub(crate) mod bench_live;
 pub(crate) mod bridge;
 pub mod calibrate;
 pub mod case;
+pub mod check;
 pub mod cli;
 pub mod dataset;
 pub mod demo;
@@ -66,6 +67,7 @@ pub(crate) mod replay;
 pub(crate) mod report;
 pub(crate) mod report_pages;
 pub mod speed;
+pub mod unit;
 
 pub use calibrate::Effort;
 pub use case::{Case, Settings};

@@ -44,7 +44,7 @@ impl MapRequest {
 }
 
 /// Folder of the cache that maps for a request are kept in.
-fn cached_in(request: &MapRequest) -> Result<PathBuf> {
+pub(crate) fn cached_in(request: &MapRequest) -> Result<PathBuf> {
     let key = fingerprint(&format!("{};{SOURCE}", request.plan()?.fingerprint()));
     Ok(cache_dir().join("maps").join(key))
 }
@@ -215,7 +215,13 @@ pub fn of_grid(
             witnesses.extend(FailureMap::of_witness(feature, fsj, zeta, raw, noise));
             continue;
         }
-        match declared(file, feature, fsj, zeta, &raw, noise, sample) {
+        let built = declared(file, feature, fsj, zeta, &raw, noise, sample);
+        if Feature::OF_UNITS.contains(&feature) {
+            // beside the others, where it serves
+            maps.extend(built.ok());
+            continue;
+        }
+        match built {
             Ok(m) => maps.push(m),
             Err(Error::Bad {
                 place, found, allowed, ..
@@ -225,7 +231,7 @@ pub fn of_grid(
             Err(e) => return Err(e.into()),
         }
     }
-    if maps.is_empty() {
+    if maps.iter().all(|m| Feature::OF_UNITS.contains(&m.feature)) {
         return Err(Error::bad(
             file,
             "features",

@@ -49,6 +49,7 @@ raw_features! {
     CurrentImbalance "current_imbalance" "-" "greatest less smallest RMS phase current over their mean, in the regime window",
     EvenCurrent "even_current" "A" "root mean square over the places of the sine of the torque-giving current's part that does not turn round with the motion, its straight line over the place taken off",
     BiasCurrent "bias_current" "A" "mean of that part",
+    KineticCurrent "kinetic_current" "A" "mean over the places of the sine of the torque-giving current's part that turns round with the motion",
 }
 
 impl Raw {
@@ -108,6 +109,9 @@ pub enum Role {
     Locates,
     /// The faults hardly change it and other defects do.
     Witness,
+    /// Faults are located by it where the unit is known ([`Role::Locates`] beside it): of a unit of which nothing is known
+    /// it says what P2 says.
+    Unit,
     /// Shown beside the others; it has no map.
     Shown,
 }
@@ -168,6 +172,8 @@ features! {
         "Mean of that part",
     BreakAway "p3" "rad" Shown (1.0, 1.0) Same(P3) "P3, command at break-away (ramp)"
         "P3 before it is divided by the nominal one",
+    Kinetic "kinetic_current" "A" Unit (1.0, 1.0) Same(KineticCurrent) "current that turns round with the motion (sine)"
+        "Mean of the torque-giving current's part that turns round with the motion, over the places of the sine: what dynamic friction takes. Unlike P2 it is straight at the healthy point (not in the paper)",
 }
 
 impl Feature {
@@ -178,9 +184,14 @@ impl Feature {
     /// Those that the faults hardly change and other defects do.
     pub const WITNESSES: [Feature; number(Role::Witness)] = of_role(Role::Witness);
 
-    /// Both: those that have maps.
+    /// Those that locate faults only of a unit that is known.
+    pub const OF_UNITS: [Feature; number(Role::Unit)] = of_role(Role::Unit);
+    /// Those of messages, logs and JSON, in the order of the table: all but those of units.
+    pub const TOLD: [Feature; Self::COUNT - number(Role::Unit)] = told();
+
+    /// Those that have maps.
     pub fn every() -> impl Iterator<Item = Feature> {
-        Self::ALL.into_iter().chain(Self::WITNESSES)
+        Self::ALL.into_iter().chain(Self::WITNESSES).chain(Self::OF_UNITS)
     }
 
     /// Those that take the nominal run: raw features give all others.
@@ -252,6 +263,19 @@ const fn number(role: Role) -> usize {
         k += 1;
     }
     n
+}
+
+/// The features of all roles but units', in the order of the table.
+const fn told<const N: usize>() -> [Feature; N] {
+    let (mut found, mut n, mut k) = ([Feature::TABLE[0]; N], 0, 0);
+    while k < Feature::COUNT {
+        if !matches!(Feature::TABLE[k].role(), Role::Unit) {
+            found[n] = Feature::TABLE[k];
+            n += 1;
+        }
+        k += 1;
+    }
+    found
 }
 
 /// The features of a role, in the order of the table.
@@ -336,15 +360,17 @@ mod tests {
     #[test]
     fn prop_names_and_numbers_of_files_and_messages_stay() {
         let keys = "p1_rad_per_s p2_a p3 ripple_rad_per_s speed_loss_rad_per_s rise_s current_rms_a sine_travel_rad \
-                    current_sum_a current_imbalance even_current_a bias_current_a p3_rad";
+                    current_sum_a current_imbalance even_current_a bias_current_a p3_rad kinetic_current_a";
         assert_eq!(Feature::TABLE.map(Feature::key).join(" "), keys);
         let columns = "mean_speed_sd_rad_per_s ripple_sd_rad_per_s p2_sd_a p3_sd_rad rise_sd_s current_rms_sd_a \
-                       sine_travel_sd_rad current_sum_sd_a current_imbalance_sd even_current_sd_a bias_current_sd_a";
+                       sine_travel_sd_rad current_sum_sd_a current_imbalance_sd even_current_sd_a bias_current_sd_a \
+                       kinetic_current_sd_a";
         assert_eq!(RawFeatures::DEVIATIONS.join(" "), columns);
         assert_eq!(RawFeatures::COLUMNS.join(" "), columns.replace("_sd", ""));
         assert_eq!((Feature::ALL.len(), Feature::WITNESSES.len()), (7, 5));
-        let both = Feature::every().map(|f| f as usize);
-        assert!(both.eq(0..12));
+        let all = Feature::every().map(|f| f as usize);
+        assert!(all.eq((0..12).chain([13])));
+        assert_eq!(Feature::TOLD.map(|f| f as usize).to_vec(), (0..13).collect::<Vec<_>>());
         assert_eq!(Feature::P1.parts(), Some([Feature::SpeedLoss, Feature::Ripple]));
         assert!(Feature::TABLE[1..].iter().all(|f| f.parts().is_none()));
         let over: Vec<Feature> = Feature::over_nominal().collect();

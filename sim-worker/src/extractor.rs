@@ -478,6 +478,7 @@ impl FeatureExtractor {
             Raw::CurrentImbalance => imbalance(self.current_sum2).filter(|_| regime_holds),
             Raw::EvenCurrent => even.map(|e| e.1),
             Raw::BiasCurrent => even.map(|e| e.0),
+            Raw::KineticCurrent => self.witness.kinetic_current_a().filter(|_| sine_holds),
         };
         let rest = self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU));
         RawFeatures::from_values(Raw::ALL.map(value), rest)

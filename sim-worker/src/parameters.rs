@@ -476,6 +476,9 @@ impl ActuatorParameters {
         for e in &self.effects {
             let values: Vec<String> = e.parameters().map(|(_, x)| exact(x)).collect();
             text += &format!(";{},{}", e.kind.name(), values.join(","));
+            if e.grows != 0.0 {
+                text += &format!(",grows,{}", exact(e.grows));
+            }
         }
         fingerprint(&text)
     }
@@ -531,6 +534,7 @@ mod tests {
                     *i = (x - 0.1 / 3.0, x + 1e-9);
                 }
                 e.intervals = Some(intervals);
+                e.grows = if kind.is_friction() { 1.0 / 3.0 } else { 0.0 };
                 e.parent = Some("fd2267d8e432540d".into());
                 e.source = "a \"run\"".into();
                 e.provenance = vec![

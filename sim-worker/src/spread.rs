@@ -38,11 +38,15 @@ pub enum Cause {
     EffectShape,
     /// static dry friction at the dynamic one that it has: what breaks away
     BreakAway,
+    /// dry friction of the healthy unit, static and dynamic together
+    HealthyFriction,
+    /// share of effects that are levels of friction which grows with the friction fault
+    EffectGrowth,
 }
 
 impl Cause {
     /// Number of causes.
-    pub const COUNT: usize = 12;
+    pub const COUNT: usize = 14;
     /// Those that stand in every fingerprint and are drawn first; later ones follow where they have a half-width.
     pub const FIRST: usize = 7;
     /// All, in the order of [`Spread::half_width`].
@@ -59,6 +63,8 @@ impl Cause {
         Cause::EffectAmplitude,
         Cause::EffectShape,
         Cause::BreakAway,
+        Cause::HealthyFriction,
+        Cause::EffectGrowth,
     ];
 
     /// Key of its half-width in a spread's file.
@@ -76,6 +82,8 @@ impl Cause {
             Cause::EffectAmplitude => "effect_amplitude_sigmas",
             Cause::EffectShape => "effect_shape_sigmas",
             Cause::BreakAway => "break_away_relative",
+            Cause::HealthyFriction => "healthy_friction_relative",
+            Cause::EffectGrowth => "effect_growth",
         }
     }
 
@@ -94,6 +102,8 @@ impl Cause {
             Cause::EffectAmplitude => "effect_amplitude_sigmas",
             Cause::EffectShape => "effect_shape_sigmas",
             Cause::BreakAway => "static_n_m",
+            Cause::HealthyFriction => "healthy_friction_n_m",
+            Cause::EffectGrowth => "effect_growth",
         }
     }
 
@@ -112,6 +122,8 @@ impl Cause {
             Cause::EffectAmplitude => "amplitudes of the effects",
             Cause::EffectShape => "shapes of the effects",
             Cause::BreakAway => "static friction",
+            Cause::HealthyFriction => "healthy friction",
+            Cause::EffectGrowth => "growth of effects of friction with FSJ",
         }
     }
 
@@ -128,7 +140,8 @@ impl Cause {
             Cause::Inductance => relative(actuator.phase_inductance_h),
             Cause::Viscous => relative(actuator.viscous_n_m_s_per_rad),
             Cause::EffectAmplitude | Cause::EffectShape => known,
-            Cause::BreakAway => relative(actuator.static_friction_n_m),
+            Cause::EffectGrowth => known - actuator.effects.iter().map(|e| e.grows).fold(0.0, f64::max),
+            Cause::BreakAway | Cause::HealthyFriction => relative(actuator.static_friction_n_m),
             Cause::Temperature => known - actuator.temperature_degc,
             Cause::RestAngle => {
                 let turn = std::f64::consts::TAU;
@@ -312,6 +325,11 @@ impl Spread {
                         a.static_friction_n_m = (a.static_friction_n_m * (1.0 + x)).max(dynamic);
                         a.dynamic_friction_ratio = dynamic / a.static_friction_n_m;
                     }
+                    Cause::HealthyFriction => a.static_friction_n_m *= 1.0 + x,
+                    Cause::EffectGrowth => {
+                        let friction = a.effects.iter_mut().filter(|e| e.kind.is_friction());
+                        friction.for_each(|e| e.grows = (e.grows + x).clamp(0.0, 1.0));
+                    }
                     Cause::EffectAmplitude | Cause::EffectShape => {
                         let amplitude = through == Cause::EffectAmplitude;
                         a.effects.iter_mut().for_each(|e| e.deviate(amplitude, x));
@@ -332,7 +350,11 @@ mod tests {
     fn prop_units_keep_to_their_half_widths() {
         let a = ActuatorParameters::reference();
         let fleet = crate::catalogue::spread("fleet").unwrap();
-        let (unit, rest) = fleet.unit(&a, 0.5, &[1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
+        let (unit, rest) = fleet.unit(
+            &a,
+            0.5,
+            &[1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0],
+        );
         let near = |x: f64, y: f64| assert!((x / y - 1.0).abs() < 1e-12, "{x} {y}");
         near(unit.phase_resistance_ohm, 1.05 * a.phase_resistance_ohm);
         near(unit.back_emf_v_s_per_rad, 0.98 * a.back_emf_v_s_per_rad);

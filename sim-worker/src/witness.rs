@@ -107,6 +107,20 @@ impl SineWitness {
         (self.seen > 0).then(|| self.current_sum / self.seen as f64)
     }
 
+    /// The part of the torque-giving current that turns round with the motion, against the place, its mean [A]: what
+    /// dynamic friction takes. Inertia takes the same forth and back, and so does a bias.
+    pub fn kinetic_current_a(&self) -> Option<f64> {
+        let mean = |(sum, n): (f64, u32)| sum / f64::from(n);
+        let (mut sum, mut count) = (0.0, 0);
+        for (back, forth) in self.bins[0].iter().zip(&self.bins[1]) {
+            if back.1 >= FEWEST && forth.1 >= FEWEST {
+                sum += 0.5 * (mean(*forth) - mean(*back));
+                count += 1;
+            }
+        }
+        (count >= BINS / 3).then(|| sum / count as f64)
+    }
+
     /// The part of the torque-giving current that does not turn round with the motion, against the place: its
     /// mean (a bias torque), and the root mean square of what a straight line leaves (cogging, a tight
     /// spot; the straight line is the inertia's) [A].
@@ -218,6 +232,11 @@ mod tests {
         let (_, even) = witness(0.0, 0.04).even_current_a().unwrap();
         assert!((even - 0.04 / 2f64.sqrt()).abs() < 4e-3, "{even}");
         assert!((witness(0.0, 0.0).travel_rad().unwrap() - 1.0).abs() < 1e-6);
+        // friction alone, whatever is added that does not turn round
+        for (bias, cogging) in [(0.0, 0.0), (0.05, 0.0), (0.0, 0.04)] {
+            let kinetic = witness(bias, cogging).kinetic_current_a().unwrap();
+            assert!((kinetic - 0.3).abs() < 2e-3, "{kinetic}");
+        }
     }
 
     #[test]

@@ -146,7 +146,7 @@ fn is_offline(m: &DiagnosisMessage, v: &Value) -> bool {
         (m.area, &v["area"]),
     ];
     let features = |f: Feature| m.feature(f) == v["features"][f.key()].as_f64();
-    pairs.iter().all(|(a, b)| b.as_f64() == Some(*a)) && Feature::TABLE.into_iter().all(features)
+    pairs.iter().all(|(a, b)| b.as_f64() == Some(*a)) && Feature::TOLD.into_iter().all(features)
 }
 
 /// Kills until there have been `kills`; `tell` hears of the progress.

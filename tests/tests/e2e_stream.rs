@@ -70,7 +70,7 @@ fn e2e_live_replay_and_offline_give_the_same_bits() {
         assert_eq!(m.outcome, 1);
         assert_eq!(m.fsj_lo, offline["fsj"]["lo"].as_f64().unwrap());
         assert_eq!(m.zeta_hi, offline["zeta"]["hi"].as_f64().unwrap());
-        for f in Feature::TABLE {
+        for f in Feature::TOLD {
             assert_eq!(m.feature(f), offline["features"][f.key()].as_f64(), "{}", f.key());
         }
     }

@@ -79,8 +79,13 @@ impl FailureMapSet {
         self.maps.iter().find(|m| m.feature == feature)
     }
 
-    /// The maps that are inverted together: all but those whose parts have maps too.
+    /// The maps that are inverted together: all but those whose parts have maps too, and those of units.
     pub fn joint(&self) -> impl Iterator<Item = &FailureMap> {
+        self.joint_of_unit().filter(|m| !Feature::OF_UNITS.contains(&m.feature))
+    }
+
+    /// The maps that are inverted together where the unit is known.
+    pub fn joint_of_unit(&self) -> impl Iterator<Item = &FailureMap> {
         let has = |parts: [Feature; 2]| parts.into_iter().all(|f| self.map(f).is_some());
         self.maps.iter().filter(move |m| !m.feature.parts().is_some_and(has))
     }
@@ -90,7 +95,7 @@ impl FailureMapSet {
     /// # Errors
     /// Refuses more than [`MOST`] of either, naming the first too many.
     pub fn check(&self, file: &str) -> Result<()> {
-        match self.joint().nth(MOST).or(self.witnesses.get(MOST)) {
+        match self.joint_of_unit().nth(MOST).or(self.witnesses.get(MOST)) {
             Some(m) => {
                 let place = format!("map {}", m.feature.name());
                 Err(Error::bad(file, place, "one too many", format!("{MOST} at most")))

@@ -9,10 +9,18 @@ use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::{Outcome, parse_known};
 use diagnoser::map_library::Choice;
+use diagnoser::unit::UnitFile;
 use schemas::error::EXIT_LOSS;
 use schemas::fault::Interval;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum Method {
+    Joint,
+    Paper,
+}
 
 #[derive(Args)]
 pub struct DiagnoseArgs {
@@ -43,6 +51,14 @@ pub struct DiagnoseArgs {
     /// viscous_n_m_s_per_rad; it narrows a spread
     #[arg(long, value_name = "KEY=NUMBER", value_delimiter = ',')]
     known: Vec<String>,
+    /// File of the unit that was tested (ema unit): what its own tests say of its constants; faults are then relative to
+    /// the healthy unit
+    #[arg(long, value_name = "UNIT", conflicts_with_all = ["actuator", "maps", "spread", "refine"])]
+    unit: Option<PathBuf>,
+    /// How maps are inverted: joint (all of them together, intervals of stated coverage), or the paper's own construction
+    /// with P1, P2 and P3 (5.1), which states none
+    #[arg(long, value_enum, default_value_t = Method::Joint)]
+    method: Method,
     /// Also fit the faults, and the unit's causes, by running the test bench itself: some seconds, and what the maps
     /// lose against it
     #[arg(long)]
@@ -135,8 +151,21 @@ fn refined_text(r: &Refined, case: &Case) -> String {
     out
 }
 
+/// What the diagnosis knows of the unit.
+fn of_unit(unit: &UnitFile) -> String {
+    let (taken, healthy) = (unit.taken(), unit.healthy());
+    let relative = match unit.reference() {
+        "unit" => "faults are relative to the healthy unit",
+        _ => "no healthy test of it: faults are relative to its type (ema unit update UNIT RECORDING --healthy)",
+    };
+    format!(
+        "unit      {}, {taken} test(s) known, {healthy} of them healthy; {relative}",
+        unit.name
+    )
+}
+
 /// A path as a shell takes it.
-fn quoted(path: &std::path::Path) -> String {
+pub(super) fn quoted(path: &std::path::Path) -> String {
     let text = path.display().to_string();
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,".contains(c);
     if text.chars().all(plain) {
@@ -163,8 +192,12 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         grid: sim_worker::catalogue::grid(&a.grid)?,
         choice,
         known: a.known.clone(),
+        unit: a.unit.as_deref().map(UnitFile::load).transpose()?.map(Arc::new),
     };
-    let case = case::run(&a.file, &settings)?;
+    let mut case = case::run(&a.file, &settings)?;
+    if a.method == Method::Paper {
+        case.by_paper();
+    }
     let refined = if a.refine {
         Some(refine(a, &settings, &case)?)
     } else {
@@ -174,8 +207,16 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     let next = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. }).then(|| a.study());
     if a.json {
         let mut json = diagnoser::report::to_json(&case.diagnosis);
+        if a.method == Method::Paper {
+            json["method"] = "paper".into();
+        }
         if let Some(r) = &refined {
             json["refined"] = refined_json(r);
+        }
+        if let Some(unit) = &settings.unit {
+            json["unit"] = serde_json::json!({
+                "name": unit.name, "tests": unit.taken(), "healthy_tests": unit.healthy(), "reference": unit.reference(),
+            });
         }
         if let Some(next) = &next {
             json["next_command"] = next.clone().into();
@@ -183,6 +224,9 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         say(&json.to_string());
     } else {
         say(&case::to_text(&case));
+        if let Some(unit) = &settings.unit {
+            say(&of_unit(unit));
+        }
         if let Some(r) = &refined {
             say(&refined_text(r, &case));
         }

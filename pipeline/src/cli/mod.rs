@@ -1,6 +1,7 @@
 //! The command line of `ema`.
 
 mod calibrate;
+mod check;
 mod dataset;
 mod demo;
 mod diagnose;
@@ -11,6 +12,7 @@ mod query;
 mod run;
 mod simulate;
 mod stream;
+mod unit;
 
 use crate::Interrupted;
 use anyhow::Result;
@@ -96,6 +98,16 @@ enum Commands {
         datasets/benches/README.md."
     )]
     Discrepancy(discrepancy::DiscrepancyArgs),
+    /// Whether an actuator can be diagnosed by a test: does it move, settle, saturate, hit its stops; are its maps flat
+    #[command(after_help = "Example: ema check actuator.toml    (exit 3 where something stands against a diagnosis)")]
+    Check(check::CheckArgs),
+    /// The file of one unit: what its own tests say of its constants, for narrower diagnoses
+    #[command(
+        subcommand,
+        after_help = "Example: ema unit new tail7.json --actuator study/actuator.toml && ema unit update tail7.json acceptance.csv \
+        --healthy && ema diagnose today.csv --unit tail7.json && ema unit update tail7.json today.csv"
+    )]
+    Unit(unit::UnitCommand),
     /// What a fleet plan comes to: runs, bytes and time, measured before anything starts
     #[command(after_help = "Example: ema plan datasets/fleets/demo.toml")]
     Plan(dataset::PlanArgs),
@@ -174,6 +186,8 @@ pub fn main() -> ExitCode {
         Commands::Bench(a) => bench(&a),
         Commands::Demo(a) => demo::demo(&a),
         Commands::Discrepancy(a) => discrepancy::discrepancy(&a),
+        Commands::Check(a) => check::run(&a),
+        Commands::Unit(a) => unit::unit(&a),
         Commands::Plan(a) => dataset::plan(&a),
         Commands::Dataset(a) => dataset::dataset(&a),
         Commands::Query(_) => query::query(),

@@ -195,6 +195,7 @@ pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
             grid: sim_worker::catalogue::grid("fine")?,
             choice: Choice::usual(),
             known: Vec::new(),
+            unit: None,
         },
         id: a.id.clone(),
         first_run: a.run,

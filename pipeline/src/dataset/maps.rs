@@ -5,9 +5,9 @@ use crate::maps::{GridFeatures, of_grid};
 use anyhow::Result;
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Schema};
-use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
+use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
 use schemas::error::Error;
-use schemas::feature::RawFeatures;
+use schemas::feature::{Feature, RawFeatures};
 use schemas::recording::table_bytes;
 use schemas::test_kind::REST_ANGLE_TOLERANCE_RAD;
 use sim_worker::dataset::plan::SOURCE;
@@ -72,7 +72,8 @@ struct Columns {
 impl Columns {
     fn add(&mut self, d: &Dataset, actuator: usize, set: &FailureMapSet) {
         let a = &d.plan.actuators[actuator];
-        for m in set.maps.iter().chain(&set.witnesses) {
+        let of_unit = |m: &&FailureMap| Feature::OF_UNITS.contains(&m.feature);
+        for m in set.maps.iter().filter(|m| !of_unit(m)).chain(&set.witnesses) {
             for i in 0..m.value.len() {
                 let texts = [
                     &a.id,

@@ -28,8 +28,8 @@ impl<const N: usize> Blank for [f64; N] {
     const BLANK: Self = [0.0; N];
 }
 
-/// One number for each feature of [`Feature::TABLE`]: on the wire each is a field of its own, named by its key.
-pub type FeatureNumbers = [f64; Feature::COUNT];
+/// One number for each feature of [`Feature::TOLD`]: on the wire each is a field of its own, named by its key.
+pub type FeatureNumbers = [f64; Feature::TOLD.len()];
 
 /// A field of a structure in shared memory: name, type and offset in bytes.
 pub type WireField = (&'static str, &'static str, usize);
@@ -39,7 +39,7 @@ pub(super) fn type_name(name: &str, fields: &[WireField], more: &str) -> String 
     let mut text = String::new();
     for &(field, kind, offset) in fields {
         if kind == "FeatureNumbers" {
-            let keys = Feature::TABLE.iter().map(|f| f.key()).zip(0..);
+            let keys = Feature::TOLD.iter().map(|f| f.key()).zip(0..);
             text.extend(keys.map(|(key, k)| format!("{key}:f64@{};", offset + k * size_of::<f64>())));
         } else {
             text += &format!("{field}:{kind}@{offset};");

@@ -55,7 +55,9 @@ impl<'a> FeatureRanges<'a> {
         let motor = travel * a.gear_ratio;
         Raw::ALL.map(|raw| match raw {
             Raw::MeanSpeed | Raw::Ripple => user,
-            Raw::P2 | Raw::CurrentRms | Raw::CurrentSum | Raw::EvenCurrent | Raw::BiasCurrent => current,
+            Raw::P2 | Raw::CurrentRms | Raw::CurrentSum | Raw::EvenCurrent | Raw::BiasCurrent | Raw::KineticCurrent => {
+                current
+            }
             Raw::P3 => travel,
             Raw::Rise => sequence.duration_s(),
             Raw::SineTravel => 2.0 * motor,

@@ -54,6 +54,18 @@ pub(crate) fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
             intervals[i] = interval.unwrap_or((x, x));
         }
         e.intervals = known.then_some(intervals);
+        if t.may_have("grows") {
+            let allowed = if kind.is_friction() {
+                "0 to 1"
+            } else {
+                "0: it is no level of friction"
+            };
+            e.grows = t.number(
+                "grows",
+                |x| (0.0..=f64::from(u8::from(kind.is_friction()))).contains(&x),
+                allowed,
+            )?;
+        }
         e.source = t.text_or("source", "assumed")?;
         if t.may_have("parent") {
             e.parent = Some(t.text("parent", "the fingerprint of an actuator")?);
@@ -92,6 +104,9 @@ impl Effect {
                 "{} = {{ value = {x:?}, {interval}unit = \"{}\" }}\n",
                 key.name, key.unit
             );
+        }
+        if self.grows != 0.0 {
+            out += &format!("grows = {:?}\n", self.grows);
         }
         out += &format!("source = {}\n", quoted(&self.source));
         if !self.provenance.is_empty() {

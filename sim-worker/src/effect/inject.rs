@@ -91,7 +91,7 @@ impl Injection {
                 | EffectKind::LoadDependentFriction
                 | EffectKind::TemperatureDependentFriction
                 | EffectKind::PeriodicFriction
-                | EffectKind::TightSpot => all.friction.push(e.clone()),
+                | EffectKind::TightSpot => all.friction.push(e.worn(fsj)),
                 EffectKind::QuadraticDrag
                 | EffectKind::ViscousAsymmetry
                 | EffectKind::BiasTorque

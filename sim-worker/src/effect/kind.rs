@@ -165,6 +165,19 @@ impl EffectKind {
         Self::ALL.iter().copied().find(|k| k.name() == name)
     }
 
+    /// Whether it is a level of friction, added to FS and FD.
+    pub fn is_friction(self) -> bool {
+        matches!(
+            self,
+            Self::Stribeck
+                | Self::LubricatedRise
+                | Self::LoadDependentFriction
+                | Self::TemperatureDependentFriction
+                | Self::PeriodicFriction
+                | Self::TightSpot
+        )
+    }
+
     /// Whether its angle, `phase`, is taken modulo a turn.
     pub fn is_periodic(self) -> bool {
         matches!(

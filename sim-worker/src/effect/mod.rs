@@ -44,6 +44,9 @@ pub struct Effect {
     pub intervals: Option<[(f64, f64); 3]>,
     /// where the values come from, in words ("assumed", a data hash, a source)
     pub source: String,
+    /// share of the amplitude that grows with the friction fault: times `1 + grows (FSJ - 1)`. 0 but for levels of
+    /// friction ([`EffectKind::is_friction`]), of which nobody knows without a worn unit
+    pub grows: f64,
     /// fingerprint of the actuator to which the effect was added
     pub parent: Option<String>,
     /// how it was identified: data, runs, score, runner-up ...; keys in the order of the alphabet
@@ -60,6 +63,7 @@ impl Effect {
             values: all,
             intervals: None,
             source: "assumed".into(),
+            grows: 0.0,
             parent: None,
             provenance: Vec::new(),
         }
@@ -86,6 +90,16 @@ impl Effect {
                 self.values[i] = (self.values[i] + sigmas * sd).clamp(key.low, key.high);
             }
         }
+    }
+
+    /// The effect at a friction fault.
+    #[must_use]
+    pub fn worn(&self, fsj: f64) -> Self {
+        let mut e = self.clone();
+        if self.grows != 0.0 {
+            e.values[0] *= 1.0 + self.grows * (fsj - 1.0);
+        }
+        e
     }
 
     /// Whether it changes anything.

@@ -1,0 +1,382 @@
+//! The file of a unit: the model, every test that went in, and the posterior of the constants.
+
+use super::constants::Constants;
+use schemas::error::{Error, Result, write_whole};
+use schemas::feature::{Feature, Features};
+use schemas::fingerprint::fingerprint;
+use schemas::sequence::TestSequence;
+use schemas::toml_section;
+use serde::{Deserialize, Serialize};
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::SensorModel;
+use sim_worker::setup::TestSetup;
+use sim_worker::spread::{Cause, Spread};
+use std::path::Path;
+use std::sync::Arc;
+
+/// First key of every unit file.
+const FORMAT: &str = "ema unit 1";
+
+/// A kind of test that a unit was shown: what maps are made for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KindEntry {
+    /// fingerprint of the kind
+    pub kind: String,
+    /// the sequence, as a TOML file has it
+    sequence: String,
+    /// the sensors, as a TOML file has them; empty for true values
+    sensors: String,
+    rate_hz: f64,
+    rest_angle_rad: f64,
+    equivalent_current: bool,
+}
+
+impl KindEntry {
+    /// The kind of a test.
+    pub fn of(setup: &TestSetup) -> Self {
+        Self {
+            kind: Self::fingerprint_of(setup),
+            sequence: setup.sequence.to_toml(),
+            sensors: setup.sensors.as_ref().map_or_else(String::new, |s| s.to_toml()),
+            rate_hz: setup.rate_hz,
+            rest_angle_rad: setup.rest_angle_rad,
+            equivalent_current: setup.equivalent_current,
+        }
+    }
+
+    /// Of all that maps depend on.
+    pub fn fingerprint_of(setup: &TestSetup) -> String {
+        fingerprint(&format!("{:?}", setup.kind()))
+    }
+
+    /// The test again.
+    ///
+    /// # Errors
+    /// Refuses a file that was changed by hand into none.
+    pub fn setup(&self, file: &str, actuator: Arc<ActuatorParameters>) -> Result<TestSetup> {
+        let section = |what: &str, text: &str| toml_section::parse(&format!("{file}: {what}"), text);
+        let sensors = if self.sensors.is_empty() {
+            None
+        } else {
+            Some(SensorModel::from_section(section("sensors", &self.sensors)?)?)
+        };
+        let sequence = TestSequence::from_section(section("sequence", &self.sequence)?)?;
+        Ok(TestSetup {
+            sensors,
+            rest_angle_rad: self.rest_angle_rad,
+            equivalent_current: self.equivalent_current,
+            ..TestSetup::new(actuator, sequence, self.rate_hz)
+        })
+    }
+}
+
+/// A test that was shown to a unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TestEntry {
+    /// name of the recording
+    pub file: String,
+    /// of its bytes: the same recording is taken once
+    pub checksum: String,
+    /// whether the unit was healthy in it
+    pub healthy: bool,
+    /// what came out: `baseline`, or the outcome of its diagnosis
+    pub outcome: String,
+    /// why it was not taken, where it was not; empty otherwise
+    pub reason: String,
+    /// fingerprint of the kind of test: its maps
+    pub kind: String,
+    /// intervals (lo, estimate, hi) of FSJ and zeta as they were diagnosed, where they were
+    pub fsj: Option<(f64, f64, f64)>,
+    /// as `fsj`
+    pub zeta: Option<(f64, f64, f64)>,
+    /// features by name, over the nominal run of the maps
+    pub features: Vec<(String, f64)>,
+    /// revision of the program
+    pub commit: String,
+}
+
+impl TestEntry {
+    /// Whether the unit's constants know of it.
+    pub fn is_taken(&self) -> bool {
+        self.reason.is_empty()
+    }
+
+    /// The features of a test, by name.
+    pub fn named(features: &Features) -> Vec<(String, f64)> {
+        let value = |f: Feature| Some((f.name().to_string(), features.get(f).filter(|x| x.is_finite())?));
+        Feature::every().filter_map(value).collect()
+    }
+
+    /// The features as they were.
+    pub fn features(&self) -> Features {
+        let mut features = Features::default();
+        for (name, value) in &self.features {
+            if let Some(f) = Feature::every().find(|f| f.name() == name) {
+                features = features.with(f, Some(*value));
+            }
+        }
+        features
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct Posterior {
+    /// keys of the causes
+    causes: Vec<String>,
+    mean: Vec<f64>,
+    covariance: Vec<f64>,
+    of_test: Vec<(String, f64)>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Stored {
+    format: String,
+    name: String,
+    source: String,
+    actuator: String,
+    spread: Vec<(String, f64)>,
+    spread_name: String,
+    kinds: Vec<KindEntry>,
+    tests: Vec<TestEntry>,
+    posterior: Posterior,
+}
+
+/// One unit with its history.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UnitFile {
+    /// what it is called
+    pub name: String,
+    /// where the model came from, in words
+    pub source: String,
+    /// the model: constants deviate from it
+    pub actuator: ActuatorParameters,
+    /// how units of the type differ, and tests
+    pub spread: Spread,
+    /// kinds of tests that it was shown
+    pub kinds: Vec<KindEntry>,
+    /// every test that it was shown, in order
+    pub tests: Vec<TestEntry>,
+    /// what is known now
+    pub constants: Constants,
+}
+
+impl UnitFile {
+    /// A unit of which no test is known. Its drive reckons with the torque constant of the type, whatever the unit's
+    /// flux.
+    pub fn new(name: String, source: String, mut actuator: ActuatorParameters, spread: Spread) -> Self {
+        actuator.drive_constant_n_m_per_a = actuator.drive_constant();
+        // whether they follow the friction fault only a worn unit knows: in between
+        for e in actuator
+            .effects
+            .iter_mut()
+            .filter(|e| e.is_present() && e.kind.is_friction() && e.grows == 0.0)
+        {
+            e.grows = 0.5;
+        }
+        let constants = Constants::prior(&actuator, &spread);
+        Self {
+            name,
+            source,
+            actuator,
+            spread,
+            kinds: Vec::new(),
+            tests: Vec::new(),
+            constants,
+        }
+    }
+
+    /// What is known of the constants before any test.
+    pub fn prior(&self) -> Constants {
+        Constants::prior(&self.actuator, &self.spread)
+    }
+
+    /// Healthy tests that went in.
+    pub fn healthy(&self) -> usize {
+        self.tests.iter().filter(|t| t.healthy && t.is_taken()).count()
+    }
+
+    /// All tests that went in.
+    pub fn taken(&self) -> usize {
+        self.tests.iter().filter(|t| t.is_taken()).count()
+    }
+
+    /// What faults are relative to: `unit` with a healthy test, else `type`.
+    pub fn reference(&self) -> &'static str {
+        if self.healthy() > 0 { "unit" } else { "type" }
+    }
+
+    /// Writes it as one JSON object, whole or not at all.
+    ///
+    /// # Errors
+    /// Fails where the file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let pairs = |of: &[(Cause, f64)]| of.iter().map(|(c, h)| (c.key().to_string(), *h)).collect::<Vec<_>>();
+        let spread: Vec<(Cause, f64)> = self.spread.causes().collect();
+        let c = &self.constants;
+        let stored = Stored {
+            format: FORMAT.into(),
+            name: self.name.clone(),
+            source: self.source.clone(),
+            actuator: self.actuator.to_toml(),
+            spread: pairs(&spread),
+            spread_name: self.spread.name.clone(),
+            kinds: self.kinds.clone(),
+            tests: self.tests.clone(),
+            posterior: Posterior {
+                causes: c.causes.iter().map(|c| c.key().to_string()).collect(),
+                mean: c.mean.clone(),
+                covariance: c.covariance.clone(),
+                of_test: pairs(&c.of_test),
+            },
+        };
+        let text = serde_json::to_string_pretty(&stored).expect("plain data");
+        write_whole(path, (text + "\n").as_bytes())
+    }
+
+    /// Reads a unit file.
+    ///
+    /// # Errors
+    /// Refuses what cannot be read, is no unit file, or holds numbers that cannot be.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+        let file = path.display().to_string();
+        let allowed = "a unit file (ema unit new)";
+        let s: Stored = serde_json::from_str(&text).map_err(|e| {
+            let place = format!("line {}, column {}", e.line(), e.column());
+            let found = e.to_string().split(" at line").next().unwrap_or_default().to_string();
+            Error::bad(&file, place, found, allowed)
+        })?;
+        if s.format != FORMAT {
+            return Err(Error::bad(&file, "format", s.format, FORMAT));
+        }
+        let cause = |key: &String| {
+            let found = Cause::ALL.into_iter().find(|c| c.key() == key);
+            found.ok_or_else(|| Error::bad(&file, "posterior", key, Cause::ALL.map(Cause::key).join(", ")))
+        };
+        let pairs = |of: &[(String, f64)]| of.iter().map(|(k, h)| Ok((cause(k)?, *h))).collect::<Result<Vec<_>>>();
+        let mut spread = Spread::none();
+        spread.name = s.spread_name;
+        for (c, h) in pairs(&s.spread)? {
+            spread.half_width[c as usize] = h;
+        }
+        let constants = Constants {
+            causes: s.posterior.causes.iter().map(cause).collect::<Result<Vec<_>>>()?,
+            mean: s.posterior.mean,
+            covariance: s.posterior.covariance,
+            of_test: pairs(&s.posterior.of_test)?,
+        };
+        let n = constants.causes.len();
+        let numbers = constants
+            .mean
+            .iter()
+            .chain(&constants.covariance)
+            .chain(&spread.half_width);
+        let finite = numbers.into_iter().all(|x| x.is_finite());
+        let positive = (0..n).all(|i| constants.covariance.get(i * n + i).is_some_and(|x| *x >= 0.0));
+        if !finite || !positive || constants.mean.len() != n || constants.covariance.len() != n * n || n > Cause::COUNT
+        {
+            let found = format!(
+                "{n} causes, {} means, {} covariances",
+                constants.mean.len(),
+                constants.covariance.len()
+            );
+            return Err(Error::bad(
+                &file,
+                "posterior",
+                found,
+                "finite numbers: n, n and n^2 of them, variances not below 0",
+            ));
+        }
+        let unit = Self {
+            name: s.name,
+            source: s.source,
+            actuator: ActuatorParameters::parse(&format!("{file}: actuator"), &s.actuator)?,
+            spread,
+            kinds: s.kinds,
+            tests: s.tests,
+            constants,
+        };
+        let prior = unit.prior();
+        if prior.causes != unit.constants.causes || prior.of_test != unit.constants.of_test {
+            let names = |c: &[Cause]| c.iter().map(|c| c.key()).collect::<Vec<_>>().join(", ");
+            let (found, allowed) = (names(&unit.constants.causes), names(&prior.causes));
+            return Err(Error::bad(
+                &file,
+                "posterior",
+                found,
+                format!("{allowed}: those of its actuator and spread"),
+            ));
+        }
+        Ok(unit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use schemas::feature::RawFeatures;
+
+    fn unit() -> UnitFile {
+        let spread = sim_worker::catalogue::spread("unit").unwrap();
+        let mut u = UnitFile::new(
+            "tail 7".into(),
+            "reference".into(),
+            ActuatorParameters::reference(),
+            spread,
+        );
+        let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
+        let mut setup = TestSetup::new(Arc::new(u.actuator.clone()), sequence, 2000.0);
+        setup.sensors = sim_worker::catalogue::sensors("reference").unwrap();
+        setup.rest_angle_rad = 0.1 / 3.0;
+        u.kinds.push(KindEntry::of(&setup));
+        let features =
+            Features::over(&RawFeatures::default(), &RawFeatures::default()).with(Feature::P2, Some(1.0 / 3.0));
+        u.tests.push(TestEntry {
+            file: "a \"b\".csv".into(),
+            checksum: "00".into(),
+            healthy: false,
+            outcome: "located".into(),
+            reason: String::new(),
+            kind: u.kinds[0].kind.clone(),
+            fsj: Some((1.0, 1.1, 1.2)),
+            zeta: None,
+            features: TestEntry::named(&features),
+            commit: "none".into(),
+        });
+        u.constants.mean[0] = 0.01 / 3.0;
+        u
+    }
+
+    #[test]
+    fn prop_a_unit_written_and_read_is_the_same() {
+        let dir = std::env::temp_dir().join(format!("ema-unit-{}", std::process::id()));
+        std::fs::create_dir_all(&dir).unwrap();
+        let (u, file) = (unit(), dir.join("u.json"));
+        u.save(&file).unwrap();
+        let read = UnitFile::load(&file).unwrap();
+        assert_eq!(read, u);
+        assert_eq!(read.tests[0].features().get(Feature::P2), Some(1.0 / 3.0));
+        assert_eq!((read.taken(), read.healthy(), read.reference()), (1, 0, "type"));
+        let setup = read.kinds[0].setup("u", Arc::new(read.actuator.clone())).unwrap();
+        assert_eq!(KindEntry::of(&setup), u.kinds[0]);
+        // the drive keeps to the type's torque constant
+        assert_eq!(read.actuator.drive_constant_n_m_per_a, 0.0752);
+
+        let good = std::fs::read_to_string(&file).unwrap();
+        let refused = |text: String, words: &[&str]| {
+            std::fs::write(&file, text).unwrap();
+            let e = UnitFile::load(&file).unwrap_err().to_string();
+            assert!(e.contains("u.json") && !e.contains('\n'), "{e}");
+            words.iter().for_each(|w| assert!(e.contains(w), "no `{w}` in {e}"));
+        };
+        refused(good[..good.len() / 2].into(), &["line", "a unit file (ema unit new)"]);
+        refused(good.replace("ema unit 1", "ema unit 9"), &["format", "ema unit 9"]);
+        refused(
+            good.replace("\"inertia_relative\"", "\"inertia\""),
+            &["inertia", "inertia_relative"],
+        );
+        refused(good.replacen("0.0033333333333333335,", "", 1), &["posterior", "n^2"]);
+        refused("{}".into(), &["format"]);
+        std::fs::remove_dir_all(&dir).unwrap();
+    }
+}

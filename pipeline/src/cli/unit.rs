@@ -1,0 +1,266 @@
+//! `ema unit`.
+
+use super::diagnose::quoted;
+use super::{ActuatorArg, RecordingArgs, say};
+use crate::case::Settings;
+use crate::unit::{Kinds, Shown, show};
+use anyhow::Result;
+use clap::{Args, Subcommand};
+use diagnoser::unit::UnitFile;
+use schemas::error::{EXIT_LOSS, Error};
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::spread::Cause;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+
+#[derive(Subcommand)]
+pub enum UnitCommand {
+    /// Begin a unit: a model, and how well its constants are known
+    New(NewArgs),
+    /// Show recordings of pre-flight tests to a unit
+    Update(UpdateArgs),
+    /// What is known of a unit, and by which tests
+    Show(ShowArgs),
+}
+
+#[derive(Args)]
+pub struct NewArgs {
+    /// File to be written
+    unit: PathBuf,
+    #[command(flatten)]
+    actuator: ActuatorArg,
+    /// Folder of a study of this unit (ema discrepancy --out): the model is the one that it wrote, with how well it knows
+    /// the constants
+    #[arg(long, value_name = "STUDY_DIR")]
+    study: Option<PathBuf>,
+    /// How units of the type and their tests differ where no study says it: unit (all values assumed) or a TOML file
+    #[arg(long, default_value = "unit")]
+    spread: String,
+    /// What the unit is called; the name of the file if left out
+    #[arg(long)]
+    name: Option<String>,
+}
+
+#[derive(Args)]
+pub struct UpdateArgs {
+    /// File of the unit
+    unit: PathBuf,
+    /// Recordings of whole pre-flight tests of this unit, in order
+    #[arg(required = true, value_name = "RECORDING")]
+    recordings: Vec<PathBuf>,
+    /// The unit was healthy in them: faults are relative to what it was then
+    #[arg(long)]
+    healthy: bool,
+    #[command(flatten)]
+    recording: RecordingArgs,
+    /// Grid of maps made on first use
+    #[arg(long, default_value = "fine")]
+    grid: String,
+    /// Keys for programs
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+pub struct ShowArgs {
+    /// File of the unit
+    unit: PathBuf,
+    /// Keys for programs
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn unit(c: &UnitCommand) -> Result<ExitCode> {
+    match c {
+        UnitCommand::New(a) => new(a),
+        UnitCommand::Update(a) => update(a),
+        UnitCommand::Show(a) => {
+            let unit = UnitFile::load(&a.unit)?;
+            say(&if a.json { json(&unit).to_string() } else { text(&unit) });
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+fn new(a: &NewArgs) -> Result<ExitCode> {
+    if a.unit.exists() {
+        let file = a.unit.display().to_string();
+        return Err(Error::bad(file, "file", "there already", "a file that is not there yet").into());
+    }
+    let named = a.actuator.named()?;
+    let (actuator, source) = match &a.study {
+        Some(dir) => {
+            let file = dir.join("actuator.toml");
+            if !file.exists() {
+                let allowed =
+                    "a study that wrote a model (ema discrepancy --healthy --out); without one leave --study out";
+                return Err(Error::bad(file.display().to_string(), "file", "nothing", allowed).into());
+            }
+            let studied = ActuatorParameters::read(&file)?;
+            same_machine(&file, &studied, named.as_deref())?;
+            (studied, file.display().to_string())
+        }
+        None => {
+            let source = a
+                .actuator
+                .path()
+                .map_or("the reference actuator (values assumed)".into(), |p| {
+                    p.display().to_string()
+                });
+            (a.actuator.read()?.as_ref().clone(), source)
+        }
+    };
+    let stem = || {
+        a.unit
+            .file_stem()
+            .map_or_else(|| "unit".into(), |s| s.to_string_lossy().into_owned())
+    };
+    let name = a.name.clone().unwrap_or_else(stem);
+    let unit = UnitFile::new(name, source, actuator, sim_worker::catalogue::spread(&a.spread)?);
+    unit.save(&a.unit)?;
+    say(&text(&unit));
+    say(&format!(
+        "next      ema unit update {} RECORDING... --healthy",
+        quoted(&a.unit)
+    ));
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses a study of another machine than the one that was named: what no study changes is the same in both.
+fn same_machine(file: &Path, studied: &ActuatorParameters, named: Option<&ActuatorParameters>) -> Result<()> {
+    let Some(named) = named else { return Ok(()) };
+    let fixed = |a: &ActuatorParameters| [f64::from(a.pole_pairs), a.gear_ratio, a.supply_voltage_v];
+    for (place, (found, allowed)) in ["pole pairs", "gear ratio", "supply voltage [V]"]
+        .into_iter()
+        .zip(fixed(studied).into_iter().zip(fixed(named)))
+    {
+        if found != allowed {
+            let allowed = format!("{allowed}, of the actuator that --actuator names");
+            return Err(Error::bad(file.display().to_string(), place, found, allowed).into());
+        }
+    }
+    Ok(())
+}
+
+fn update(a: &UpdateArgs) -> Result<ExitCode> {
+    let mut unit = UnitFile::load(&a.unit)?;
+    let settings = Settings {
+        sequence: a.recording.sequence.clone(),
+        sensors: a.recording.sensors.clone(),
+        grid: sim_worker::catalogue::grid(&a.grid)?,
+        ..Settings::of_actuator(Arc::new(unit.actuator.clone()))?
+    };
+    let mut kinds = Kinds::default();
+    let mut shown = Vec::new();
+    for path in &a.recordings {
+        let what = show(&mut unit, path, a.healthy, &settings, &mut kinds)?;
+        // each as it comes: what is done is kept
+        unit.save(&a.unit)?;
+        if !a.json {
+            let words = match &what {
+                Shown::Taken => "taken".to_string(),
+                Shown::Again => "known already".into(),
+                Shown::Refused(reason) => format!("changes nothing: {reason}"),
+            };
+            let last = unit.tests.last();
+            let found = last
+                .and_then(|t| Some((t.fsj?, t.zeta?)))
+                .filter(|_| what == Shown::Taken);
+            let faults = found.map_or(String::new(), |(f, z)| {
+                format!(
+                    ", FSJ {:.3} in {:.3} .. {:.3}, zeta {:.4} in {:.4} .. {:.4}",
+                    f.1, f.0, f.2, z.1, z.0, z.2
+                )
+            });
+            say(&format!("{}: {words}{faults}", path.display()));
+        }
+        shown.push(what);
+    }
+    say(&if a.json { json(&unit).to_string() } else { text(&unit) });
+    let refused = shown.iter().any(|s| matches!(s, Shown::Refused(_)));
+    Ok(if refused {
+        ExitCode::from(EXIT_LOSS)
+    } else {
+        ExitCode::SUCCESS
+    })
+}
+
+/// Constants: cause, deviation and standard deviation now, standard deviation before any test.
+fn constants(unit: &UnitFile) -> Vec<(Cause, f64, f64, f64)> {
+    let prior = unit.prior();
+    let one = |c: &Cause| {
+        let (mean, sd) = unit.constants.of(*c)?;
+        Some((*c, mean, sd, prior.of(*c)?.1))
+    };
+    unit.constants.causes.iter().filter_map(one).collect()
+}
+
+fn json(unit: &UnitFile) -> serde_json::Value {
+    let constant = |(c, mean, sd, before): (Cause, f64, f64, f64)| serde_json::json!({"cause": c.key(), "deviation": mean, "sigma": sd, "sigma_before": before});
+    let test = |t: &diagnoser::unit::TestEntry| {
+        let interval =
+            |i: Option<(f64, f64, f64)>| i.map(|(lo, e, hi)| serde_json::json!({"lo": lo, "estimate": e, "hi": hi}));
+        serde_json::json!({
+            "file": t.file, "healthy": t.healthy, "taken": t.is_taken(), "outcome": t.outcome, "reason": t.reason,
+            "fsj": interval(t.fsj), "zeta": interval(t.zeta), "checksum": t.checksum, "commit": t.commit,
+        })
+    };
+    let last = unit.tests.iter().rev().find(|t| t.fsj.is_some());
+    serde_json::json!({
+        "name": unit.name,
+        "model": unit.source,
+        "tests": unit.taken(),
+        "healthy_tests": unit.healthy(),
+        "reference": unit.reference(),
+        "constants": constants(unit).into_iter().map(constant).collect::<Vec<_>>(),
+        "present": last.map(test),
+        "history": unit.tests.iter().map(test).collect::<Vec<_>>(),
+    })
+}
+
+fn text(unit: &UnitFile) -> String {
+    let mut out = format!("unit      {}\nmodel     {}\n", unit.name, unit.source);
+    out += &format!(
+        "tests     {} known, {} of them healthy; faults are relative to the {}\n",
+        unit.taken(),
+        unit.healthy(),
+        unit.reference()
+    );
+    for (c, mean, sd, before) in constants(unit) {
+        let sigmas = matches!(c, Cause::EffectAmplitude | Cause::EffectShape);
+        let (scale, of) = if sigmas {
+            (1.0, "standard deviations of its study")
+        } else {
+            (100.0, "% of the model's")
+        };
+        out += &format!(
+            "constant  {}: {:+.2} +- {:.2} {of} (+- {:.2} before any test)\n",
+            c.title(),
+            scale * mean,
+            scale * sd,
+            scale * before
+        );
+    }
+    for t in &unit.tests {
+        let found = match (t.fsj, t.zeta) {
+            (Some(f), Some(z)) => format!(
+                ", FSJ {:.3} in {:.3} .. {:.3}, zeta {:.4} in {:.4} .. {:.4}",
+                f.1, f.0, f.2, z.1, z.0, z.2
+            ),
+            _ => String::new(),
+        };
+        let kept = if t.is_taken() {
+            String::new()
+        } else {
+            format!(" (not taken: {})", t.reason)
+        };
+        let healthy = if t.healthy { "healthy, " } else { "" };
+        out += &format!(
+            "test      {}: {healthy}{}{found}{kept}\n",
+            t.file,
+            t.outcome.replace('_', " ")
+        );
+    }
+    out
+}

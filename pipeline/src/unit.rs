@@ -1,0 +1,431 @@
+//! Units with a history: the campaign of simulated units behind their intervals, and what a recording adds.
+
+use crate::COMMIT;
+use crate::calibrate::{Unit, draw_units, measure, range, score_all, scores, surfaces};
+use crate::case::{self, Settings};
+use crate::input;
+use crate::maps::{self, MapRequest};
+use crate::progress::note;
+use anyhow::Result;
+use diagnoser::calibration::{COVERAGE, Calibration, uncalibrated};
+use diagnoser::diagnosis::{Diagnoser, Known, Outcome};
+use diagnoser::failure_map::FailureMapSet;
+use diagnoser::map_library::rounded_rest_angle;
+use diagnoser::uncertainty::{Deviations, deviations};
+use diagnoser::unit::{Baseline, Constants, KindEntry, Stratum, TestEntry, UnitCalibration, UnitFile};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use schemas::error::Error;
+use schemas::fault::FaultState;
+use schemas::feature::{Feature, Features};
+use sim_worker::setup::TestSetup;
+use sim_worker::spread::Cause;
+use std::path::Path;
+use std::sync::Arc;
+
+/// What a campaign of simulated units costs.
+#[derive(Clone, Copy, Debug)]
+pub struct UnitEffort {
+    /// tests at random faults that the response to the constants comes from
+    pub surface: usize,
+    /// healthy tests that the baseline comes from
+    pub baseline: usize,
+    /// units that are given a history
+    pub units: usize,
+    /// tests at random faults of each
+    pub tests: usize,
+    /// of the draws
+    pub seed: u64,
+}
+
+impl UnitEffort {
+    /// What units are calibrated with on first use.
+    pub const QUICK: Self = Self {
+        surface: 1024,
+        baseline: 320,
+        units: 160,
+        tests: 4,
+        seed: 0,
+    };
+}
+
+/// Numbers of healthy tests that simulated units have.
+const HISTORIES: [usize; 2] = [1, 3];
+
+/// Faults this near to each other are one place, where maps err by the same.
+const NEAR: (f64, f64) = (0.25, 0.03);
+
+/// Maps for a test of a unit and what simulated units say of them, from the cache or made on first use.
+///
+/// # Errors
+/// As [`maps::made`]; making them may be interrupted ([`crate::Interrupted`]).
+pub fn ready(request: &MapRequest, unit: &UnitFile) -> Result<(FailureMapSet, UnitCalibration)> {
+    let dir = maps::cached_in(request)?;
+    let set = maps::made(&dir, request)?;
+    let prior = unit.prior();
+    let (own, of_maps) = (prior.fingerprint(), set.fingerprint());
+    let file = dir.join(format!("unit-{own}.json"));
+    if let Ok(c) = UnitCalibration::load(&file, &of_maps, &own) {
+        return Ok((set, c));
+    }
+    let effort = UnitEffort::QUICK;
+    let runs = effort.surface + effort.baseline + effort.units * (effort.tests + HISTORIES[HISTORIES.len() - 1]);
+    note(&format!("simulating units like this one ({runs} runs, once)"));
+    let made = calibrate(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
+    made.save(&file)?;
+    Ok((set, made))
+}
+
+/// A unit of the prior, as shares of the half-widths of its spread.
+fn draw_unit(prior: &Constants, half_width: &[f64; Cause::COUNT], rng: &mut ChaCha8Rng) -> [f64; Cause::COUNT] {
+    let end = 3f64.sqrt();
+    let t: Vec<f64> = prior.causes.iter().map(|_| rng.random_range(-end..end)).collect();
+    let root = prior.root();
+    let mut draw = [0.0; Cause::COUNT];
+    for (i, c) in prior.causes.iter().enumerate() {
+        let x: f64 = (0..=i).map(|k| root[(i, k)] * t[k]).sum();
+        let h = half_width[*c as usize];
+        draw[*c as usize] = if h > 0.0 { (x / h).clamp(-1.0, 1.0) } else { 0.0 };
+    }
+    draw
+}
+
+/// Simulates units of a prior and their tests. `Ok(None)` where it was interrupted.
+///
+/// # Errors
+/// As [`measure`], and refuses maps that a diagnoser refuses.
+pub fn calibrate(
+    set: &FailureMapSet,
+    setup: &TestSetup,
+    prior: &Constants,
+    effort: UnitEffort,
+) -> Result<Option<UnitCalibration>> {
+    let spread = prior.spread();
+    let (fsj, zeta) = range(set);
+    // draws of the parts never meet, nor those of other campaigns
+    let seeds = [0x51u64, 0x52, 0x53].map(|kind| effort.seed.wrapping_mul(2).wrapping_add(kind << 48));
+    let surface = draw_units(fsj, zeta, &spread, effort.surface, seeds[0]);
+    let Some(surface_raw) = measure(setup, &spread, &surface, "response to the constants")? else {
+        return Ok(None);
+    };
+    let mut healthy = draw_units(fsj, zeta, &spread, effort.baseline, seeds[1]);
+    healthy.iter_mut().for_each(|u| u.fault = FaultState::NOMINAL);
+    let Some(healthy_raw) = measure(setup, &spread, &healthy, "healthy units")? else {
+        return Ok(None);
+    };
+    // units with a history: healthy tests first
+    let first = HISTORIES[HISTORIES.len() - 1];
+    let each = first + effort.tests;
+    let mut rng = ChaCha8Rng::seed_from_u64(seeds[2]);
+    let mut tests: Vec<Unit> = Vec::with_capacity(effort.units * each);
+    for _ in 0..effort.units {
+        let own = draw_unit(prior, &spread.half_width, &mut rng);
+        for k in 0..each {
+            let mut draw = own;
+            for (c, _) in &prior.of_test {
+                draw[*c as usize] = rng.random_range(-1.0..1.0);
+            }
+            let (f, z) = (rng.random_range(fsj.0..fsj.1), rng.random_range(zeta.0..zeta.1));
+            let fault = if k < first {
+                FaultState::NOMINAL
+            } else {
+                FaultState { fsj: f, zeta: z }
+            };
+            tests.push(Unit {
+                fault,
+                draw,
+                seed: rng.random(),
+            });
+        }
+    }
+    let Some(raw) = measure(setup, &spread, &tests, "units with a history")? else {
+        return Ok(None);
+    };
+
+    let kinds: Vec<(Feature, f64)> = set
+        .joint_of_unit()
+        .map(|m| (m.feature, m.budget.noise))
+        .chain(set.witnesses.iter().map(|w| (w.feature, w.budget.noise)))
+        .collect();
+    let sample = |(u, raw): (&Unit, _)| -> Option<(Deviations, Vec<f64>)> {
+        let features = set.features(raw);
+        let values = kinds.iter().map(|(f, _)| features.get(*f).filter(|x| x.is_finite()));
+        Some((deviations(&spread, &u.draw), values.collect::<Option<Vec<f64>>>()?))
+    };
+    let samples: Vec<_> = healthy.iter().zip(&healthy_raw).filter_map(sample).collect();
+    let mut common = Calibration {
+        spread: spread.name.clone(),
+        half_width: spread.half_width,
+        runs: effort.units * effort.tests,
+        surface_runs: effort.surface,
+        seed: effort.seed,
+        maps: set.fingerprint(),
+        commit: COMMIT.into(),
+        scores: Default::default(),
+        misfits: vec![uncalibrated(COVERAGE).1],
+        deviations: Vec::new(),
+        surfaces: surfaces(&Diagnoser::bare_of_unit(set.clone()), &spread, &surface, &surface_raw),
+    };
+    let mut baseline = Baseline::fit(&kinds, &samples);
+    let of_unit = |k: usize| (&tests[k * each..(k + 1) * each], &raw[k * each..(k + 1) * each]);
+    let healthy_of = |k: usize| {
+        of_unit(k).0[..first]
+            .iter()
+            .zip(&of_unit(k).1[..first])
+            .filter_map(sample)
+    };
+    baseline.scatter(&(0..effort.units).map(|k| healthy_of(k).collect()).collect::<Vec<_>>());
+    let diagnoser = Diagnoser::with_factors(set.clone(), common.clone(), COVERAGE, &prior.factors(&Vec::new()))?;
+    let features = |k: usize, n: usize| {
+        of_unit(k).1[..n]
+            .iter()
+            .map(|r| set.features(r))
+            .collect::<Vec<Features>>()
+    };
+    let histories: Vec<usize> = std::iter::once(0).chain(HISTORIES).collect();
+    let mut strata = Vec::new();
+    for h in histories {
+        let one = |k: usize| {
+            let learnt = (h > 0).then(|| prior.after_healthy(&baseline, &features(k, h)));
+            let constants = learnt.as_ref().map_or(prior, |l| &l.constants);
+            let d = diagnoser.again_with(&constants.factors(&Vec::new()));
+            let (units, raw) = of_unit(k);
+            (scores(&d, &units[first..], &raw[first..]), learnt.map(|l| l.misfit))
+        };
+        let all: Vec<_> = (0..effort.units).into_par_iter().map(one).collect();
+        let mut healthy_misfits: Vec<f64> = all.iter().filter_map(|a| a.1).collect();
+        healthy_misfits.sort_by(f64::total_cmp);
+        let mut of = common.clone();
+        let flat: Vec<_> = all.into_iter().flat_map(|a| a.0).collect();
+        score_all(&mut of, &flat);
+        if h == 0 {
+            common = of;
+        } else {
+            strata.push(Stratum {
+                healthy: h,
+                scores: of.scores,
+                misfits: of.misfits,
+                deviations: of.deviations,
+                healthy_misfits,
+            });
+        }
+    }
+    Ok(Some(UnitCalibration {
+        common,
+        baseline,
+        strata,
+        prior: prior.fingerprint(),
+    }))
+}
+
+/// Maps made ready for a test of a unit.
+///
+/// * `known` of the test, given the rest angle of the maps
+///
+/// # Errors
+/// As [`ready`].
+pub fn diagnoser(setup: &TestSetup, settings: &Settings, unit: &UnitFile, known: &Known) -> Result<Diagnoser> {
+    let (set, calibration) = ready(&request(setup, settings), unit)?;
+    Ok(calibration.diagnoser(set, &unit.constants, unit.healthy(), settings.choice.coverage, known)?)
+}
+
+fn request(setup: &TestSetup, settings: &Settings) -> MapRequest {
+    MapRequest {
+        setup: TestSetup {
+            rest_angle_rad: rounded_rest_angle(setup.rest_angle_rad),
+            load_n_m: 0.0,
+            ..setup.clone()
+        },
+        grid: settings.grid.clone(),
+    }
+}
+
+/// What became of a recording that a unit was shown.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shown {
+    /// it went in
+    Taken,
+    /// it went in before
+    Again,
+    /// it is kept in the file and changes nothing, for this reason
+    Refused(String),
+}
+
+/// Kinds of tests whose maps are in use, so that they are read once.
+#[derive(Default)]
+pub struct Kinds(Vec<(String, FailureMapSet, UnitCalibration)>);
+
+impl Kinds {
+    fn of(&mut self, request: &MapRequest, unit: &UnitFile) -> Result<usize> {
+        let kind = KindEntry::fingerprint_of(&request.setup);
+        if let Some(k) = self.0.iter().position(|k| k.0 == kind) {
+            return Ok(k);
+        }
+        let (set, calibration) = ready(request, unit)?;
+        self.0.push((kind, set, calibration));
+        Ok(self.0.len() - 1)
+    }
+
+    /// Those of all tests that a unit knows.
+    fn all(&mut self, unit: &UnitFile, settings: &Settings) -> Result<()> {
+        for kind in &unit.kinds {
+            let setup = kind.setup("unit file", Arc::new(unit.actuator.clone()))?;
+            self.of(&request(&setup, settings), unit)?;
+        }
+        Ok(())
+    }
+}
+
+/// Shows a recording to a unit. What it says goes into the constants; a test that contradicts the unit changes nothing.
+///
+/// * `healthy` the unit was healthy in it
+///
+/// # Errors
+/// As [`case::run`], and refuses a recording that lacks features where it is to be healthy.
+pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings, kinds: &mut Kinds) -> Result<Shown> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+    let checksum = blake3::hash(&bytes).to_hex().to_string();
+    if unit.tests.iter().any(|t| t.checksum == checksum && t.is_taken()) {
+        return Ok(Shown::Again);
+    }
+    unit.tests.retain(|t| t.checksum != checksum);
+    let measured = input::open(path, settings.run)?;
+    let settings = Settings {
+        actuator: Some(Arc::new(unit.actuator.clone())),
+        ..settings.clone()
+    };
+    let test = case::test_of(path, &measured, &settings)?;
+    if !test.begins || !test.missing.is_empty() {
+        let found = if test.begins {
+            test.missing.join("; ")
+        } else {
+            "the first sample is missing".into()
+        };
+        return Err(Error::bad(
+            path.display().to_string(),
+            "recording",
+            found,
+            "a whole test: a unit learns from no other",
+        )
+        .into());
+    }
+    let request = request(&test.setup, &settings);
+    let place = kinds.of(&request, unit)?;
+    let own = KindEntry::of(&request.setup);
+    let kind = own.kind.clone();
+    let (set, calibration) = (&kinds.0[place].1, &kinds.0[place].2);
+    let features = set.features(&test.raw);
+    let mut entry = TestEntry {
+        file: path
+            .file_name()
+            .map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
+        checksum,
+        healthy,
+        outcome: "baseline".into(),
+        reason: String::new(),
+        kind: kind.clone(),
+        fsj: None,
+        zeta: None,
+        features: TestEntry::named(&features),
+        commit: COMMIT.into(),
+    };
+    if !unit.kinds.iter().any(|k| k.kind == kind) {
+        unit.kinds.push(own);
+    }
+    if healthy {
+        // with those of its kind that are known already; the constants are made anew from all
+        let mut all: Vec<Features> = healthy_of(unit, &kind);
+        all.push(features);
+        if let Err((found, allowed)) = calibration.healthy(&unit.prior(), &all) {
+            entry.outcome = "unexplained".into();
+            entry.reason =
+                format!("as a healthy test it contradicts the unit (misfit {found:.1}, at most {allowed:.1})");
+        }
+        let refused = entry.reason.clone();
+        unit.tests.push(entry);
+        if !refused.is_empty() {
+            return Ok(Shown::Refused(refused));
+        }
+        kinds.all(unit, &settings)?;
+        relearn(unit, kinds)?;
+        return Ok(Shown::Taken);
+    }
+    let d = calibration.diagnoser(
+        set.clone(),
+        &unit.constants,
+        unit.healthy(),
+        settings.choice.coverage,
+        &Vec::new(),
+    )?;
+    let diagnosis = d.diagnose(&features, &[]);
+    entry.outcome = diagnosis.outcome.name().into();
+    entry.reason = diagnosis.outcome.reason().into();
+    if let Outcome::Located(a) = &diagnosis.outcome {
+        entry.fsj = Some((a.fsj.lo, a.centroid.0, a.fsj.hi));
+        entry.zeta = Some((a.zeta.lo, a.centroid.1, a.zeta.hi));
+        let again = times(unit, &entry);
+        if let Some(c) = unit.constants.after_test(&d, &features, again) {
+            unit.constants = c;
+        }
+    }
+    let refused = entry.reason.clone();
+    unit.tests.push(entry);
+    Ok(if refused.is_empty() {
+        Shown::Taken
+    } else {
+        Shown::Refused(refused)
+    })
+}
+
+/// How many tests at the faults of one were learnt from, this one included.
+fn times(unit: &UnitFile, test: &TestEntry) -> usize {
+    let at = |t: &TestEntry| Some((t.fsj?.1, t.zeta?.1));
+    let near = |t: &&TestEntry| match (at(t), at(test)) {
+        (Some((f, z)), Some((f0, z0))) => t.is_taken() && (f - f0).abs() < NEAR.0 && (z - z0).abs() < NEAR.1,
+        _ => false,
+    };
+    1 + unit
+        .tests
+        .iter()
+        .take_while(|t| t.checksum != test.checksum)
+        .filter(near)
+        .count()
+}
+
+fn healthy_of(unit: &UnitFile, kind: &str) -> Vec<Features> {
+    let of_kind = unit
+        .tests
+        .iter()
+        .filter(|t| t.healthy && t.is_taken() && t.kind == kind);
+    of_kind.map(TestEntry::features).collect()
+}
+
+/// The constants anew, from all tests: healthy ones first, then the others in their order.
+fn relearn(unit: &mut UnitFile, kinds: &mut Kinds) -> Result<()> {
+    let mut constants = unit.prior();
+    let mut seen: Vec<&str> = Vec::new();
+    for t in unit.tests.iter().filter(|t| t.healthy && t.is_taken()) {
+        if seen.contains(&t.kind.as_str()) {
+            continue;
+        }
+        seen.push(&t.kind);
+        let Some((_, _, calibration)) = kinds.0.iter().find(|k| k.0 == t.kind) else {
+            continue;
+        };
+        constants = constants
+            .after_healthy(&calibration.baseline, &healthy_of(unit, &t.kind))
+            .constants;
+    }
+    for t in unit.tests.iter().filter(|t| !t.healthy && t.is_taken()) {
+        let Some((_, set, calibration)) = kinds.0.iter().find(|k| k.0 == t.kind) else {
+            continue;
+        };
+        let d = calibration.diagnoser(set.clone(), &constants, unit.healthy(), COVERAGE, &Vec::new())?;
+        if let Some(c) = constants.after_test(&d, &t.features(), times(unit, t)) {
+            constants = c;
+        }
+    }
+    unit.constants = constants;
+    Ok(())
+}
