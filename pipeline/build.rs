@@ -25,6 +25,7 @@ fn main() {
         "diagnoser/src",
         "pipeline/src/dataset/maps.rs",
         "pipeline/src/maps.rs",
+        "pipeline/src/unit.rs",
     ] {
         fold(&Path::new("..").join(part), &mut hash);
     }

@@ -262,6 +262,13 @@ impl Diagnoser {
         self.estimator.features()
     }
 
+    /// The maps that have a say in its diagnoses, and those that these make up: those of units where a unit is known.
+    pub fn shown_maps(&self) -> impl Iterator<Item = &FailureMap> {
+        let joint = self.estimator.features();
+        let of_others = move |m: &&FailureMap| !Feature::OF_UNITS.contains(&m.feature) || joint.contains(&m.feature);
+        self.maps.maps.iter().filter(of_others)
+    }
+
     /// Standard uncertainty of a feature at a fault pair, the unit's spread included.
     pub fn uncertainty(&self, feature: Feature, fsj: f64, zeta: f64) -> Option<f64> {
         let map = self.maps.map(feature)?;
@@ -381,7 +388,7 @@ impl Diagnoser {
         let whole = known == joint.len() && missing.is_empty();
         if !whole || known < 2 {
             let mut lacking: Vec<String> = missing.to_vec();
-            let maps = self.maps.maps.iter().map(|m| m.feature);
+            let maps = self.shown_maps().map(|m| m.feature);
             let (mut absent, mut odd) = (Vec::new(), Vec::new());
             for f in maps {
                 match features.get(f) {

@@ -96,6 +96,8 @@ pub struct Estimator {
     /// as `causes`, of the witnesses
     witness_causes: Option<PreparedSurfaces>,
     witness_remainder: Row,
+    /// variances by which the unit differs from its model beyond any cause: joint features, witnesses
+    discrepancy: (Row, Row),
 }
 
 impl Estimator {
@@ -180,6 +182,7 @@ impl Estimator {
             witnesses,
             witness_causes: None,
             witness_remainder,
+            discrepancy: ([0.0; MOST], [0.0; MOST]),
         };
         match factors {
             Some(factors) if surfaces.is_some() => estimator.know(calibration, factors),
@@ -195,6 +198,7 @@ impl Estimator {
         self.causes = surfaces.map(|s| s.prepared_factors(&self.features, factors));
         self.witness_causes = surfaces.map(|s| s.prepared_factors(&names, factors));
         self.unknown = factors.each.iter().map(|(c, _)| *c).collect();
+        self.discrepancy = (factors.discrepancies(&self.features).1, factors.discrepancies(&names).1);
         self.starts = self.make_starts();
     }
 
@@ -247,7 +251,9 @@ impl Estimator {
     }
 
     fn variance(&self, fsj: f64, zeta: f64) -> Row {
-        self.lattice.blend(&self.variances, fsj, zeta)
+        let mut own = self.lattice.blend(&self.variances, fsj, zeta);
+        own.iter_mut().zip(self.discrepancy.0).for_each(|(o, d)| *o += d);
+        own
     }
 
     /// Response to the common causes, about a guess of them.
@@ -469,7 +475,7 @@ impl Estimator {
             let slope_z = (w.witness_at(fsj, zeta + dz) - w.witness_at(fsj, zeta - dz)) / (2.0 * dz);
             let of_pair = (bb * slope_f * slope_f - 2.0 * ab * slope_f * slope_z + aa * slope_z * slope_z) / det;
             let of_causes = common_variance(&common, k);
-            let own = w.uncertainty(fsj, zeta).powi(2) + self.witness_remainder[k].powi(2);
+            let own = w.uncertainty(fsj, zeta).powi(2) + self.witness_remainder[k].powi(2) + self.discrepancy.1[k];
             let least = least_uncertainty(w.feature);
             let u = (own + of_causes + of_pair.max(0.0) + least * least).sqrt();
             Some((w.feature, found, expected, (found - expected) / u))

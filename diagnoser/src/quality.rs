@@ -13,6 +13,7 @@ mod text;
 mod tests;
 
 use crate::diagnosis::Diagnoser;
+use crate::failure_map::FailureMap;
 use isolability::{Change, Local};
 use schemas::feature::Feature;
 use serde_json::{Value, json};
@@ -85,7 +86,7 @@ pub struct MapQuality {
 impl MapQuality {
     /// Judges the maps of a diagnoser, with its calibration and what it knows of the unit.
     pub fn of(diagnoser: &Diagnoser) -> Self {
-        let maps = &diagnoser.maps.maps;
+        let maps: Vec<&FailureMap> = diagnoser.shown_maps().collect();
         let joint = diagnoser.joint_features().to_vec();
         let locals = Local::all(diagnoser);
         let now: Vec<Cell> = locals.iter().map(|l| l.cell(Change::Nothing)).collect();
@@ -133,7 +134,7 @@ impl MapQuality {
                 h.actuator, h.sequence, h.kind.rate_hz
             ),
             reach: std::array::from_fn(|q| diagnoser.reach(q)),
-            shapes: maps.iter().map(MapShape::of).collect(),
+            shapes: maps.iter().map(|m| MapShape::of(m)).collect(),
             sensitivity: maps.iter().map(|m| Sensitivity::of(diagnoser, m)).collect(),
             columns: points.0 - 1,
             joint,

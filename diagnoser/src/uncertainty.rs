@@ -258,6 +258,7 @@ impl ResponseSurfaces {
             bends,
             unknown: factors.each.iter().map(|(_, x)| of_acting(x)).collect(),
             known: of_acting(&factors.middle),
+            offset: factors.discrepancies(features).0,
         }
     }
 }
@@ -270,6 +271,19 @@ pub struct Factors {
     pub middle: Deviations,
     /// one standard deviation of each factor, at most [`Cause::COUNT`], and the cause that it is called after
     pub each: Vec<(Cause, Deviations)>,
+    /// by how much the unit differs from its model beyond any cause
+    pub discrepancy: Vec<Discrepancy>,
+}
+
+/// What a unit's healthy tests show that no constant of its model explains.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Discrepancy {
+    /// of which feature
+    pub feature: Feature,
+    /// measured less model [unit of the feature]
+    pub shift: f64,
+    /// standard uncertainty of that at other faults
+    pub uncertainty: f64,
 }
 
 impl Factors {
@@ -294,7 +308,20 @@ impl Factors {
         Self {
             middle,
             each: unknown.iter().map(one).collect(),
+            discrepancy: Vec::new(),
         }
+    }
+
+    /// Shifts and variances of features by the discrepancy.
+    pub fn discrepancies(&self, features: &[Feature]) -> (Row, Row) {
+        let (mut shift, mut variance) = ([0.0; MOST], [0.0; MOST]);
+        for (k, f) in features.iter().enumerate().take(MOST) {
+            for d in self.discrepancy.iter().filter(|d| d.feature == *f) {
+                shift[k] += d.shift;
+                variance[k] += d.uncertainty * d.uncertainty;
+            }
+        }
+        (shift, variance)
     }
 }
 
@@ -317,6 +344,8 @@ pub struct PreparedSurfaces {
     unknown: Vec<[f64; ACTING]>,
     /// what the known ones make of it
     known: [f64; ACTING],
+    /// what is added whatever the causes
+    offset: Row,
 }
 
 /// Response surfaces at one fault pair, made straight about a guess of the causes.
@@ -340,7 +369,7 @@ impl PreparedSurfaces {
             x.iter_mut().zip(row).for_each(|(x, a)| *x += a * t);
         }
         let add = |to: &mut Row, factor: f64, row: &Row| to.iter_mut().zip(row).for_each(|(o, r)| *o += factor * r);
-        let mut value = [0.0; MOST];
+        let mut value = self.offset;
         let mut by = [[0.0; MOST]; ACTING];
         for (k, rows) in self.slopes.iter().enumerate() {
             for (row, t) in rows.iter().zip(terms) {

@@ -4,7 +4,7 @@ use crate::case::{self, Case, Settings};
 use crate::dataset::{self, Dataset};
 use crate::{COMMIT, maps};
 use anyhow::Result;
-use diagnoser::diagnosis::{Diagnoser, Outcome};
+use diagnoser::diagnosis::{Diagnoser, Diagnosis, Outcome};
 use diagnoser::map_library::Choice;
 use diagnoser::sensitivity::noise_sigma;
 use rayon::prelude::*;
@@ -46,6 +46,8 @@ pub struct CaseStatistics {
     pub zeta_error: Vec<f64>,
     /// in percent, as `zeta_error`
     pub fsj_error: Vec<f64>,
+    /// median errors in percent by the paper's own method with these maps: zeta, FSJ
+    pub by_paper: (f64, f64),
     /// median widths of the intervals: FSJ, zeta
     pub fsj_width: f64,
     /// of zeta
@@ -68,7 +70,15 @@ pub fn statistics(
 ) -> CaseStatistics {
     let set = &diagnoser.maps;
     let rest_angle_rad = set.header.kind.rest_angle_rad;
-    let results: Vec<(f64, f64, bool, f64, f64)> = (0..seeds)
+    let percent = |exact: f64, found: f64| 100.0 * (exact - found).abs() / exact;
+    let errors = |d: &Diagnosis| {
+        let found = d.outcome.area().map(|a| a.centroid);
+        found.map_or((f64::INFINITY, f64::INFINITY), |(fsj, zeta)| {
+            (percent(truth.zeta, zeta), percent(truth.fsj, fsj))
+        })
+    };
+    type One = (f64, f64, bool, f64, f64, (f64, f64));
+    let results: Vec<One> = (0..seeds)
         .into_par_iter()
         .map(|seed| {
             let noise = SensorNoise::new(seed, run.rows());
@@ -82,10 +92,11 @@ pub fn statistics(
             s.measure(&run.view(), &mut out);
             let mut x = FeatureExtractor::new(plan.clone());
             x.push(&out.view());
-            let d = diagnoser.diagnose(&set.features(&x.features()), &x.missing());
+            let features = set.features(&x.features());
+            let d = diagnoser.diagnose(&features, &x.missing());
+            let by_paper = errors(&diagnoser::paper::diagnose(diagnoser, &features, &x.missing()));
             match &d.outcome {
                 Outcome::Located(a) => {
-                    let percent = |exact: f64, found: f64| 100.0 * (exact - found).abs() / exact;
                     let inside = a.fsj.contains(truth.fsj) && a.zeta.contains(truth.zeta);
                     (
                         percent(truth.zeta, a.centroid.1),
@@ -93,13 +104,21 @@ pub fn statistics(
                         inside,
                         a.fsj.width(),
                         a.zeta.width(),
+                        by_paper,
                     )
                 }
-                _ => (f64::INFINITY, f64::INFINITY, false, f64::INFINITY, f64::INFINITY),
+                _ => (
+                    f64::INFINITY,
+                    f64::INFINITY,
+                    false,
+                    f64::INFINITY,
+                    f64::INFINITY,
+                    by_paper,
+                ),
             }
         })
         .collect();
-    let sorted = |f: fn(&(f64, f64, bool, f64, f64)) -> f64| {
+    let sorted = |f: fn(&One) -> f64| {
         let mut v: Vec<f64> = results.iter().map(f).collect();
         v.sort_by(f64::total_cmp);
         v
@@ -108,6 +127,7 @@ pub fn statistics(
         truth,
         seeds,
         inside: results.iter().filter(|r| r.2).count() as f64 / seeds as f64,
+        by_paper: (quantile(&sorted(|r| r.5.0), 0.5), quantile(&sorted(|r| r.5.1), 0.5)),
         zeta_error: sorted(|r| r.0),
         fsj_error: sorted(|r| r.1),
         fsj_width: quantile(&sorted(|r| r.3), 0.5),

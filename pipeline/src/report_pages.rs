@@ -94,9 +94,8 @@ pub fn region_plot(
             .collect::<Vec<_>>()
     };
     let band = area.map_or(diagnoser.usual_band(), |a| a.band);
-    let regions = set
-        .maps
-        .iter()
+    let regions = diagnoser
+        .shown_maps()
         .filter_map(|m| {
             let v = d.features.get(m.feature)?;
             let name = label(m.feature);

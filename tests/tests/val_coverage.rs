@@ -151,9 +151,7 @@ fn val_the_papers_curves_enclose_the_area() {
             continue;
         };
         let cuts: Vec<_> = d
-            .maps
-            .maps
-            .iter()
+            .shown_maps()
             // bands are drawn with the half-width of each place, the area with that of the estimate
             .map(|m| d.cut(m, features.get(m.feature).unwrap(), 1.15 * area.band))
             .collect();

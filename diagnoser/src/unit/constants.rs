@@ -2,9 +2,9 @@
 
 use super::baseline::Baseline;
 use crate::diagnosis::{Diagnoser, Known};
-use crate::uncertainty::{Deviations, Factors};
+use crate::uncertainty::{Deviations, Discrepancy, Factors};
 use nalgebra::{DMatrix, DVector};
-use schemas::feature::Features;
+use schemas::feature::{Feature, Features};
 use schemas::fingerprint::{exact, fingerprint};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::spread::{Cause, Spread};
@@ -30,6 +30,8 @@ pub struct Constants {
     pub covariance: Vec<f64>,
     /// what is another one in each test: half-widths
     pub of_test: Vec<(Cause, f64)>,
+    /// what healthy tests show that no constant explains
+    pub discrepancy: Vec<Discrepancy>,
 }
 
 /// Constants after tests.
@@ -39,6 +41,9 @@ pub struct Learnt {
     pub constants: Constants,
     /// squared residual in standard deviations, priors included, over the number of features: about 1
     pub misfit: f64,
+    /// what is the same in all tests and no constant explains: feature, value in its unit, in standard deviations of what
+    /// the response surface leaves
+    pub left: Vec<(Feature, f64, f64)>,
 }
 
 /// Standard deviation of a uniform distribution.
@@ -119,6 +124,7 @@ impl Constants {
             mean: vec![0.0; n],
             covariance,
             of_test,
+            discrepancy: Vec::new(),
         }
     }
 
@@ -186,12 +192,23 @@ impl Constants {
             .map(|&(c, h)| (c, of_uniform(h)))
             .collect();
         factors.each.extend(Factors::independent(&free, &[]).each);
+        factors.discrepancy.clone_from(&self.discrepancy);
         factors
     }
 
     /// The posterior after healthy tests, all at once: the faults are 1 and 0 by definition, the supply another one in
     /// each test, and what the response surface leaves is the same in all tests of the unit.
-    pub fn after_healthy(&self, baseline: &Baseline, tests: &[Features]) -> Learnt {
+    ///
+    /// * `wider` standard deviations of what else is the same in all tests, by feature: of the model itself
+    pub fn after_healthy(&self, baseline: &Baseline, tests: &[Features], wider: &[(Feature, f64)]) -> Learnt {
+        let expected = |x: &Deviations| {
+            let mut all = baseline.at(x);
+            for e in &mut all {
+                let more = wider.iter().filter(|w| w.0 == e.feature);
+                e.systematic = more.fold(e.systematic, |s, w| s.hypot(w.1));
+            }
+            all
+        };
         let n = self.causes.len();
         let m = self.of_test.len();
         let kinds = baseline.at(&Deviations::default()).len();
@@ -228,7 +245,7 @@ impl Constants {
                 for (k, (c, h)) in self.of_test.iter().enumerate() {
                     add(&mut deviations, *c, x[n + j * m + k] * of_uniform(*h));
                 }
-                for (k, e) in baseline.at(&deviations).iter().enumerate() {
+                for (k, e) in expected(&deviations).iter().enumerate() {
                     let Some(y) = features.get(e.feature).filter(|y| y.is_finite()) else {
                         continue;
                     };
@@ -265,15 +282,59 @@ impl Constants {
         }
         let covariance = information.try_inverse().map(|c| c.view((0, 0), (n, n)).into_owned());
         let covariance = covariance.unwrap_or_else(|| self.matrix());
+        let of_surface = baseline.at(&Deviations::default());
+        let widened = expected(&Deviations::default());
+        let left = widened.iter().zip(&of_surface).enumerate();
+        let left = left.map(|(k, (e, own))| {
+            let value = e.systematic * x[n + m * tests.len() + k];
+            (e.feature, value, value / own.systematic.max(1e-300))
+        });
         Learnt {
+            left: left.collect(),
             constants: Self {
                 causes: self.causes.clone(),
                 mean: x.iter().take(n).copied().collect(),
                 covariance: symmetric(&covariance),
                 of_test: self.of_test.clone(),
+                discrepancy: self.discrepancy.clone(),
             },
             misfit: cost / f64::from(rows.max(1)),
         }
+    }
+
+    /// Features of healthy tests, their mean, that lie beyond what constants, tests and sensors explain by so many standard
+    /// deviations, and by how much.
+    pub fn beyond(&self, baseline: &Baseline, tests: &[Features], sigmas: f64) -> Vec<(Feature, f64)> {
+        let mut middle = Deviations::default();
+        for (c, x) in self.causes.iter().zip(&self.mean) {
+            add(&mut middle, *c, *x);
+        }
+        let covariance = self.matrix();
+        let one = |e: &super::Expected| {
+            let values: Vec<f64> = tests
+                .iter()
+                .filter_map(|t| t.get(e.feature))
+                .filter(|x| x.is_finite())
+                .collect();
+            let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+            let along = |c: Cause| {
+                c.acts_through()
+                    .into_iter()
+                    .map(|(c, u)| u * e.slopes[c as usize])
+                    .sum::<f64>()
+            };
+            let slopes = DVector::from_iterator(self.causes.len(), self.causes.iter().map(|c| along(*c)));
+            let of_constants = slopes.dot(&(&covariance * &slopes));
+            let of_tests: f64 = self
+                .of_test
+                .iter()
+                .map(|(c, h)| (along(*c) * of_uniform(*h)).powi(2))
+                .sum();
+            let sd = (of_constants + of_tests + e.systematic * e.systematic + e.noise * e.noise).sqrt();
+            let off = (mean - e.value).abs();
+            (!values.is_empty() && off > sigmas * sd).then_some((e.feature, off))
+        };
+        baseline.at(&middle).iter().filter_map(one).collect()
     }
 
     /// The posterior after a test at faults that nobody knows. `None` where the test lacks features.
@@ -295,6 +356,7 @@ impl Constants {
             mean: self.mean.iter().zip(moved.iter()).map(|(m, x)| m + x).collect(),
             covariance: symmetric(&covariance),
             of_test: self.of_test.clone(),
+            discrepancy: self.discrepancy.clone(),
         })
     }
 
@@ -338,7 +400,6 @@ fn symmetric(c: &DMatrix<f64>) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use schemas::feature::Feature;
 
     /// Two features that read resistance and healthy friction.
     fn baseline(noise: f64) -> Baseline {
@@ -370,18 +431,21 @@ mod tests {
                 .with(Feature::P3, Some(2.0 - r + 0.1 * f - d))
         };
         let b = baseline(1e-3);
-        let one = prior().after_healthy(&b, &[test(0.0)]);
+        let one = prior().after_healthy(&b, &[test(0.0)], &[]);
         let (mean, sd) = one.constants.of(Cause::HealthyFriction).unwrap();
         assert!((mean - f).abs() < 1e-3 && (1e-3..1.6e-3).contains(&sd), "{mean} {sd}");
         let (mean, _) = one.constants.of(Cause::Resistance).unwrap();
         assert!((mean - r).abs() < 1e-3, "{mean}");
         // four say it twice as well
-        let four = prior().after_healthy(&b, &[0.0; 4].map(test));
+        let four = prior().after_healthy(&b, &[0.0; 4].map(test), &[]);
         let of = |l: &Learnt| l.constants.of(Cause::HealthyFriction).unwrap().1;
         assert!((of(&one) / of(&four) - 2.0).abs() < 0.05, "{} {}", of(&one), of(&four));
         assert!(four.misfit < 2.0, "{}", four.misfit);
+        assert!(prior().beyond(&b, &[test(0.0)], 3.0).is_empty());
+        let off = test(0.0).with(Feature::P3, Some(2.5));
+        assert!(matches!(prior().beyond(&b, &[off], 3.0)[..], [(Feature::P3, x)] if (x - 0.5).abs() < 1e-3));
         // two that are not of one unit
-        let odd = prior().after_healthy(&b, &[test(0.0), test(0.1)]);
+        let odd = prior().after_healthy(&b, &[test(0.0), test(0.1)], &[]);
         assert!(odd.misfit > 100.0, "{}", odd.misfit);
     }
 

@@ -1,6 +1,7 @@
 //! The file of a unit: the model, every test that went in, and the posterior of the constants.
 
 use super::constants::Constants;
+use crate::uncertainty::Discrepancy;
 use schemas::error::{Error, Result, write_whole};
 use schemas::feature::{Feature, Features};
 use schemas::fingerprint::fingerprint;
@@ -126,6 +127,8 @@ struct Posterior {
     mean: Vec<f64>,
     covariance: Vec<f64>,
     of_test: Vec<(String, f64)>,
+    /// feature, measured less model, uncertainty of that
+    discrepancy: Vec<(String, f64, f64)>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -227,6 +230,11 @@ impl UnitFile {
                 mean: c.mean.clone(),
                 covariance: c.covariance.clone(),
                 of_test: pairs(&c.of_test),
+                discrepancy: c
+                    .discrepancy
+                    .iter()
+                    .map(|d| (d.feature.name().to_string(), d.shift, d.uncertainty))
+                    .collect(),
             },
         };
         let text = serde_json::to_string_pretty(&stored).expect("plain data");
@@ -254,6 +262,17 @@ impl UnitFile {
             found.ok_or_else(|| Error::bad(&file, "posterior", key, Cause::ALL.map(Cause::key).join(", ")))
         };
         let pairs = |of: &[(String, f64)]| of.iter().map(|(k, h)| Ok((cause(k)?, *h))).collect::<Result<Vec<_>>>();
+        let discrepancy = |(name, shift, uncertainty): &(String, f64, f64)| {
+            let feature = Feature::every().find(|f| f.name() == name);
+            let feature = feature.filter(|_| shift.is_finite() && uncertainty.is_finite() && *uncertainty >= 0.0);
+            let allowed = "a feature and two finite numbers, the uncertainty not below 0";
+            let feature = feature.ok_or_else(|| Error::bad(&file, "discrepancy", name, allowed))?;
+            Ok(Discrepancy {
+                feature,
+                shift: *shift,
+                uncertainty: *uncertainty,
+            })
+        };
         let mut spread = Spread::none();
         spread.name = s.spread_name;
         for (c, h) in pairs(&s.spread)? {
@@ -264,6 +283,12 @@ impl UnitFile {
             mean: s.posterior.mean,
             covariance: s.posterior.covariance,
             of_test: pairs(&s.posterior.of_test)?,
+            discrepancy: s
+                .posterior
+                .discrepancy
+                .iter()
+                .map(discrepancy)
+                .collect::<Result<Vec<_>>>()?,
         };
         let n = constants.causes.len();
         let numbers = constants

@@ -17,13 +17,42 @@ pub use file::{KindEntry, TestEntry, UnitFile};
 use crate::calibration::Calibration;
 use crate::diagnosis::{Diagnoser, Known};
 use crate::failure_map::FailureMapSet;
+use crate::uncertainty::Discrepancy;
 use schemas::error::{Error, Result, write_whole};
-use schemas::feature::Features;
+use schemas::feature::{Feature, Features};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Share of simulated units whose healthy tests are refused although nothing is wrong with them.
 const REFUSED: f64 = 0.002;
+
+/// Fewest healthy tests that can speak against their model.
+pub const BASELINES: usize = 3;
+
+/// Greatest disagreement of healthy tests among each other, over what scatters from test to test (assumed).
+const AGREE: f64 = 3.0;
+
+/// Deviation of a feature, in standard deviations of all that is known of a unit, from which on the model is wrong in it.
+const BEYOND: f64 = 3.0;
+
+/// Deviation from which on the model misses an effect, which a shift of one feature cannot stand for (assumed: a sagging
+/// supply moved the healthy rise time by 40, and located intervals off the truth once the rise time was set aside).
+const MISSING: f64 = 10.0;
+
+/// How often what the model may be wrong by is widened.
+const WIDENINGS: usize = 8;
+
+/// What is left of the features in which a model is wrong.
+fn discrepancy(learnt: &Learnt, wider: &[(Feature, f64)]) -> Vec<Discrepancy> {
+    let of = |f: Feature| learnt.left.iter().find(|l| l.0 == f).map_or(0.0, |l| l.1);
+    let one = |&(feature, _): &(Feature, f64)| Discrepancy {
+        feature,
+        shift: of(feature),
+        // as much again at other faults (assumed)
+        uncertainty: of(feature).abs(),
+    };
+    wider.iter().map(one).collect()
+}
 
 /// Scores of simulated units of which a number of healthy tests is known.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -97,18 +126,47 @@ impl UnitCalibration {
         Diagnoser::with_factors(maps, self.of(healthy), coverage, &factors)
     }
 
-    /// Constants after healthy tests.
+    /// Constants after healthy tests. Where they contradict the model, but not each other, and there are at least
+    /// [`BASELINES`] of them, the model is taken to be wrong in what is left of their features, if that is not much.
     ///
     /// # Errors
     /// The misfit over the number of features, and the greatest that is allowed, where the tests contradict the
     /// constants.
-    pub fn healthy(&self, prior: &Constants, tests: &[Features]) -> std::result::Result<Learnt, (f64, f64)> {
-        let learnt = prior.after_healthy(&self.baseline, tests);
+    pub fn healthy(&self, prior: &Constants, tests: &[Features]) -> std::result::Result<Constants, (f64, f64)> {
+        let mut learnt = prior.after_healthy(&self.baseline, tests, &[]);
         let gate = self.healthy_gate(tests.len());
-        if learnt.misfit > gate {
-            return Err((learnt.misfit, gate));
+        let refused = (learnt.misfit, gate);
+        if learnt.misfit <= gate {
+            return Ok(learnt.constants);
         }
-        Ok(learnt)
+        if tests.len() < BASELINES || self.baseline.disagreement(tests) > AGREE {
+            return Err(refused);
+        }
+        // the features that nothing known of the unit explains; then those that stand out, until the rest agree
+        let mut wider = prior.beyond(&self.baseline, tests, BEYOND);
+        if !prior.beyond(&self.baseline, tests, MISSING).is_empty() {
+            // an effect is missing: what it does at other faults nobody knows
+            return Err(refused);
+        }
+        for round in 0..WIDENINGS {
+            if round == 0 && !wider.is_empty() {
+                learnt = prior.after_healthy(&self.baseline, tests, &wider);
+            }
+            if learnt.misfit <= gate {
+                learnt.constants.discrepancy = discrepancy(&learnt, &wider);
+                return Ok(learnt.constants);
+            }
+            let worst = learnt.left.iter().map(|l| l.2.abs()).fold(0.0, f64::max);
+            for &(feature, value, sigmas) in learnt.left.iter().filter(|l| l.2.abs() >= 0.7 * worst) {
+                let own = 2.0 * value.abs().max((value / sigmas).abs());
+                match wider.iter_mut().find(|w| w.0 == feature) {
+                    Some(w) => w.1 = w.1.max(own),
+                    None => wider.push((feature, own)),
+                }
+            }
+            learnt = prior.after_healthy(&self.baseline, tests, &wider);
+        }
+        Err(refused)
     }
 
     /// Writes it as one JSON object, whole or not at all.

@@ -117,7 +117,7 @@ fn to_text(d: &Diagnoser, c: &Calibration) -> String {
     }
     let (fsj, zeta) = places(d)[2];
     out += &format!("\nstandard uncertainties at FSJ {fsj:.1}, zeta {zeta:.3}, by what they come from\n");
-    for m in &d.maps.maps {
+    for m in d.shown_maps() {
         let parts: Vec<String> = d
             .budget(m.feature, fsj, zeta)
             .iter()
@@ -137,7 +137,7 @@ fn to_json(d: &Diagnoser, c: &Calibration) -> serde_json::Value {
             let list: serde_json::Map<String, _> = list.into_iter().map(|(k, v)| (k, v.into())).collect();
             (m.feature.key().to_string(), list.into())
         };
-        let all: serde_json::Map<String, serde_json::Value> = d.maps.maps.iter().map(parts).collect();
+        let all: serde_json::Map<String, serde_json::Value> = d.shown_maps().map(parts).collect();
         serde_json::json!({"fsj": fsj, "zeta": zeta, "standard_uncertainty": all})
     };
     let reach: Vec<f64> = (0..4).map(|q| d.reach(q)).collect();

@@ -9,10 +9,10 @@ use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::{Outcome, parse_known};
 use diagnoser::map_library::Choice;
-use diagnoser::unit::UnitFile;
+use diagnoser::unit::{BASELINES, UnitFile};
 use schemas::error::EXIT_LOSS;
 use schemas::fault::Interval;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -74,12 +74,23 @@ pub struct DiagnoseArgs {
 }
 
 impl DiagnoseArgs {
+    /// The command that makes more of a recording that nothing explains, and what for.
+    fn next(&self, unit: Option<&UnitFile>) -> (String, &'static str) {
+        if let Some((unit, path)) = unit.zip(self.unit.as_deref()).filter(|(u, _)| u.healthy() < BASELINES) {
+            let more = match unit.healthy() {
+                0 => "healthy tests of this very unit: what its model is off by is then known",
+                _ => "more healthy tests of this very unit: three or more also show what its model is off by",
+            };
+            return (format!("ema unit update {} RECORDING... --healthy", quoted(path)), more);
+        }
+        (self.study(unit), "finds what is missing from the model")
+    }
+
     /// The command that studies this recording.
-    fn study(&self) -> String {
-        let model = self
-            .actuator
-            .path()
-            .map_or(crate::discrepancy::REFERENCE.into(), quoted);
+    fn study(&self, unit: Option<&UnitFile>) -> String {
+        let of_unit = unit.map(|u| Path::new(&u.source)).filter(|p| p.exists());
+        let model = of_unit.or(self.actuator.path());
+        let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
         format!(
             "ema discrepancy --model {model} --bench {} --out study",
             quoted(&self.file)
@@ -204,7 +215,8 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         None
     };
     // what no pair of faults explains is something that the model does not have
-    let next = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. }).then(|| a.study());
+    let unexplained = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. });
+    let next = unexplained.then(|| a.next(settings.unit.as_deref()));
     if a.json {
         let mut json = diagnoser::report::to_json(&case.diagnosis);
         if a.method == Method::Paper {
@@ -219,7 +231,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
             });
         }
         if let Some(next) = &next {
-            json["next_command"] = next.clone().into();
+            json["next_command"] = next.0.clone().into();
         }
         say(&json.to_string());
     } else {
@@ -231,9 +243,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
             say(&refined_text(r, &case));
         }
         if let Some(next) = &next {
-            say(&format!(
-                "next      {next}\n          (finds what is missing from the model)"
-            ));
+            say(&format!("next      {}\n          ({})", next.0, next.1));
         }
     }
     if let Some(dir) = &a.plot {

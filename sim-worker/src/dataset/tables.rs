@@ -10,7 +10,7 @@ use bytes::Bytes;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use schemas::SCHEMA_VERSION;
 use schemas::error::{Error, Result};
-use schemas::feature::{Feature, RawFeatures};
+use schemas::feature::{Feature, Raw, RawFeatures};
 use schemas::fingerprint::checksum;
 use schemas::guard::guarded;
 use schemas::recording::{Provenance, table_bytes};
@@ -350,19 +350,21 @@ impl Table {
         Ok(all)
     }
 
-    /// The raw features of all rows.
+    /// The raw features of all rows; those of units are none in a dataset of a program that did not know them.
     ///
     /// # Errors
     /// A missing column, or one of another type.
     pub fn features(&self) -> Result<Vec<FeatureValues>> {
-        let means = RawFeatures::COLUMNS
-            .map(|n| self.values(n))
-            .into_iter()
-            .collect::<Result<Vec<_>>>()?;
-        let sds = RawFeatures::DEVIATIONS
-            .map(|n| self.values(n))
-            .into_iter()
-            .collect::<Result<Vec<_>>>()?;
+        let of_unit = |raw: Raw| Feature::OF_UNITS.iter().any(|f| f.form().raws().any(|r| r == raw));
+        let values = |raw: Raw, name: &str| match self.values(name) {
+            Err(_) if of_unit(raw) => Ok(vec![None; self.rows()]),
+            found => found,
+        };
+        let column = |of: fn(Raw) -> &'static str| {
+            let all = Raw::ALL.into_iter().map(|raw| values(raw, of(raw)));
+            all.collect::<Result<Vec<_>>>()
+        };
+        let (means, sds) = (column(Raw::column)?, column(Raw::deviation)?);
         let row = |i: usize| std::array::from_fn(|k| (means[k][i], sds[k][i].unwrap_or(0.0)));
         Ok((0..self.rows()).map(row).collect())
     }
