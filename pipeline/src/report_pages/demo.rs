@@ -21,7 +21,11 @@ pub fn table_i(r: &DemoResult) -> Table {
             detected,
             error,
             format!("{:.2} / {:.2}", c.paper.0, c.paper.1),
-            format!("{:.2} / {:.2}", s.by_paper.0, s.by_paper.1),
+            if s.by_paper.0.is_finite() {
+                format!("{:.2} / {:.2}", s.by_paper.0, s.by_paper.1)
+            } else {
+                "no curve in common".into()
+            },
             median,
             high,
             format!("{:.4} / {:.3}", s.zeta_width, s.fsj_width),
