@@ -20,6 +20,7 @@ use nalgebra::{DMatrix, DVector};
 use schemas::error::{Error, Result};
 use schemas::fault::Interval;
 use schemas::feature::{Feature, Features};
+use sim_worker::spread::of_uniform;
 pub use sim_worker::spread::{Known, parse_known};
 
 /// The fault pairs that all maps agree on.
@@ -293,12 +294,12 @@ impl Diagnoser {
         let share = surfaces.map_or(1.0, |s| s.share(feature));
         let mut parts: Vec<(String, f64)> = vec![
             ("sensors".into(), share * b.noise),
-            ("one sample".into(), share * b.sample / 3f64.sqrt()),
+            ("one sample".into(), of_uniform(share * b.sample)),
             ("interpolation and projection".into(), share * map.error_at(fsj, zeta)),
         ];
         if let Some((c, s)) = self.calibration.as_ref().and_then(|c| Some((c, c.surfaces.as_ref()?))) {
             for (cause, half) in c.spread().causes() {
-                let at = |f: Feature| half / 3f64.sqrt() * s.slope(&[f], cause, fsj, zeta)[0].abs();
+                let at = |f: Feature| of_uniform(half) * s.slope(&[f], cause, fsj, zeta)[0].abs();
                 let u = match feature.parts() {
                     Some([a, b]) => at(a).hypot(at(b)),
                     None => at(feature),

@@ -6,7 +6,7 @@ use crate::paving::{Joint, Lattice, Limits};
 use crate::uncertainty::{Factors, Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, Straight};
 use nalgebra::{DMatrix, DVector};
 use schemas::feature::{Feature, Features};
-use sim_worker::spread::{Cause, Known};
+use sim_worker::spread::{Cause, Known, of_uniform};
 
 /// Most lattice lines between two lines of the grid: what is bilinear between them departs from the monotone
 /// cubic by a sixteenth of what it would on the grid itself.
@@ -108,8 +108,7 @@ impl Estimator {
                 .spread()
                 .causes()
                 .filter(|(c, _)| !known.iter().any(|(k, _)| k == c))
-                // standard deviation of a uniform distribution
-                .map(|(c, h)| (c, h / 3f64.sqrt()))
+                .map(|(c, h)| (c, of_uniform(h)))
                 .collect();
             Factors::independent(&unknown, known)
         });

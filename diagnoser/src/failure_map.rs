@@ -9,6 +9,7 @@ use schemas::error::{Error, Result};
 use schemas::feature::Feature;
 use serde::{Deserialize, Serialize};
 pub use set::{FailureMapSet, MapSetHeader};
+use sim_worker::spread::of_uniform;
 
 /// Largest break of monotony that is projected away, as a share of the map's range (assumed). P3
 /// comes in whole samples; its limit is one sample if that is more.
@@ -35,6 +36,14 @@ pub struct MapBudget {
     /// one sample of the command, where the feature is a command at a sample: the whole step, not yet
     /// divided by sqrt(3)
     pub sample: f64,
+}
+
+impl MapBudget {
+    /// Standard uncertainty of one measurement of the feature: sensors and, where it comes in whole samples, one
+    /// sample (uniform). P3 has the latter only.
+    pub fn measurement(&self) -> f64 {
+        self.noise.hypot(of_uniform(self.sample))
+    }
 }
 
 /// One feature over the fault grid.

@@ -5,7 +5,7 @@
 //! bend. Slopes are cubic, bends quadratic polynomials of the faults, fitted to simulated units (a response
 //! surface; Box and Wilson 1951). What that leaves is an uncertainty of its own.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use schemas::feature::Feature;
 use serde::{Deserialize, Serialize};
 use sim_worker::spread::{Cause, Spread};
@@ -113,6 +113,41 @@ pub struct Sample {
     pub residual: Vec<(Feature, f64, f64)>,
 }
 
+/// Pairs of 0 to n - 1, each with itself included.
+pub(crate) fn all_pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..n).flat_map(move |i| (i..n).map(move |j| (i, j)))
+}
+
+/// Least squares of several features by the same rows.
+pub(crate) struct Regression {
+    design: DMatrix<f64>,
+    solver: Cholesky<f64, Dyn>,
+}
+
+impl Regression {
+    /// * `rows` one a sample, of equal length
+    pub fn new(rows: &[Vec<f64>]) -> Self {
+        let n = rows.first().map_or(0, Vec::len);
+        let design = DMatrix::from_fn(rows.len(), n, |i, j| rows[i][j]);
+        // causes that only act together (temperature alone) share their effect: a touch of ridge
+        let mut normal = design.transpose() * &design;
+        let ridge = 1e-9 * rows.len() as f64;
+        (0..n).for_each(|i| normal[(i, i)] += ridge);
+        let solver = normal.cholesky().expect("positive definite by the ridge");
+        Self { design, solver }
+    }
+
+    /// Coefficients of a feature, and what they leave of it.
+    ///
+    /// * `values` one a sample
+    pub fn fit(&self, values: impl Iterator<Item = f64>) -> (DVector<f64>, DVector<f64>) {
+        let y = DVector::from_iterator(self.design.nrows(), values);
+        let x = self.solver.solve(&(self.design.transpose() * &y));
+        let left = y - &self.design * &x;
+        (x, left)
+    }
+}
+
 impl ResponseSurfaces {
     /// Least squares over simulated units. Features are those of the first sample; causes that never
     /// deviate have slope 0.
@@ -125,7 +160,6 @@ impl ResponseSurfaces {
             .iter()
             .map(|&c| samples.iter().map(|s| s.deviations[c].abs()).fold(0.0, f64::max))
             .collect();
-        let all_pairs = |n: usize| (0..n).flat_map(move |i| (i..n).map(move |j| (i, j)));
         let mut pairs: Vec<(usize, usize)> = all_pairs(acting.len()).collect();
         let straight = acting.len() * TERMS;
         if samples.len() < SAMPLES_EACH * (straight + pairs.len() * BEND_TERMS) {
@@ -146,19 +180,12 @@ impl ResponseSurfaces {
         };
         let n = straight + pairs.len() * BEND_TERMS;
         let rows: Vec<Vec<f64>> = samples.iter().map(row).collect();
-        let design = DMatrix::from_fn(samples.len(), n, |i, j| rows[i][j]);
-        // causes that only act together (temperature alone) share their effect: a touch of ridge
-        let mut normal = design.transpose() * &design;
-        let ridge = 1e-9 * samples.len() as f64;
-        (0..n).for_each(|i| normal[(i, i)] += ridge);
-        let solver = normal.cholesky().expect("positive definite by the ridge");
+        let regression = Regression::new(&rows);
         let (mut slopes, mut bends) = (BTreeMap::new(), BTreeMap::new());
         let (mut remainder, mut shares) = (BTreeMap::new(), BTreeMap::new());
         let features = samples.first().map_or(&[][..], |s| &s.residual);
         for (k, (feature, _, _)) in features.iter().enumerate() {
-            let y = DVector::from_iterator(samples.len(), samples.iter().map(|s| s.residual[k].1));
-            let x = solver.solve(&(design.transpose() * &y));
-            let left = y - &design * &x;
+            let (x, left) = regression.fit(samples.iter().map(|s| s.residual[k].1));
             let mut slope = [[0.0; TERMS]; Cause::COUNT];
             for (a, (&c, &size)) in acting.iter().zip(&size).enumerate() {
                 slope[c] = std::array::from_fn(|t| x[a * TERMS + t] / size);

@@ -10,11 +10,12 @@ use schemas::error::Error;
 use schemas::fault::{FaultGrid, FaultState};
 use schemas::sequence::{Command, Segment, TestSequence};
 use schemas::telemetry::Collector;
-use sim_worker::extractor::FeaturePlan;
+use sim_worker::extractor::{FeaturePlan, REGIME_S};
 use sim_worker::sensor::SensorModel;
 use sim_worker::setup::TestSetup;
 use sim_worker::simulate::{Run, simulate};
 use sim_worker::test_bench::Lane;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Telemetry rate of the simulated tests [Hz].
@@ -68,10 +69,16 @@ impl Checked {
 }
 
 /// The segment of a sequence that is of a kind, as samples of a run.
-fn rows(sequence: &TestSequence, is: impl Fn(&Command) -> bool) -> Option<(&Segment, std::ops::Range<usize>)> {
+fn rows(sequence: &TestSequence, is: impl Fn(&Command) -> bool) -> Option<(&Segment, Range<usize>)> {
     let s = sequence.segment(is)?;
     let at = |t: f64| (t * RATE_HZ).round() as usize;
     Some((s, at(s.start_s)..at(s.start_s + s.duration_s)))
+}
+
+/// Samples of a channel of a run.
+fn within<'a>(run: &'a Collector, channel: Channel, r: &Range<usize>) -> &'a [f64] {
+    let x = run.column(channel).unwrap_or_default();
+    &x[r.start.min(x.len())..r.end.min(x.len())]
 }
 
 /// Greatest less smallest.
@@ -144,17 +151,6 @@ fn words(f: &FaultState) -> String {
 fn motion(setup: &TestSetup, corners: &[FaultState], seen: &[Collector], findings: &mut Vec<Finding>) {
     let a = &setup.actuator;
     let sequence = &setup.sequence;
-    let column = |c: &'static str, run: &Collector| -> Vec<f64> {
-        let channel = match c {
-            "com" => Channel::Com,
-            "theta_u" => Channel::ThetaU,
-            "omega_m" => Channel::OmegaM,
-            "theta_m" => Channel::ThetaM,
-            _ => Channel::IEq,
-        };
-        run.column(channel).map_or(Vec::new(), <[f64]>::to_vec)
-    };
-    let within = |x: &[f64], r: &std::ops::Range<usize>| x[r.start.min(x.len())..r.end.min(x.len())].to_vec();
     // the corner where a share is smallest
     let least = |of: &dyn Fn(&Collector) -> f64| {
         let all = seen.iter().zip(corners).map(|(r, f)| (of(r), f));
@@ -175,12 +171,12 @@ fn motion(setup: &TestSetup, corners: &[FaultState], seen: &[Collector], finding
         });
     };
 
+    // travel over what is commanded
+    let moved = |run: &Collector, r: &Range<usize>| {
+        travel(within(run, Channel::ThetaU, r)) / travel(within(run, Channel::Com, r)).max(1e-300)
+    };
     if let Some((s, r)) = rows(sequence, |c| matches!(c, Command::Ramp { .. })) {
-        let share = |run: &Collector| {
-            let (com, theta) = (within(&column("com", run), &r), within(&column("theta_u", run), &r));
-            travel(&theta) / travel(&com).max(1e-300)
-        };
-        let (x, at) = least(&share);
+        let (x, at) = least(&|run| moved(run, &r));
         let stall = a.static_friction_n_m * at.fsj;
         add(
             "moves",
@@ -194,11 +190,7 @@ fn motion(setup: &TestSetup, corners: &[FaultState], seen: &[Collector], finding
         );
     }
     if let Some((_, r)) = rows(sequence, |c| matches!(c, Command::Sine { .. })) {
-        let share = |run: &Collector| {
-            let (com, theta) = (within(&column("com", run), &r), within(&column("theta_u", run), &r));
-            travel(&theta) / travel(&com).max(1e-300)
-        };
-        let (x, at) = least(&share);
+        let (x, at) = least(&|run| moved(run, &r));
         add(
             "follows",
             (FOLLOWED..=2.0 - FOLLOWED).contains(&x),
@@ -212,7 +204,7 @@ fn motion(setup: &TestSetup, corners: &[FaultState], seen: &[Collector], finding
         );
         let limit = 0.98 * a.current_limit_a;
         let share = |run: &Collector| {
-            let i = within(&column("i_eq", run), &r);
+            let i = within(run, Channel::IEq, &r);
             i.iter().filter(|i| i.abs() >= limit).count() as f64 / i.len().max(1) as f64
         };
         let (x, at) = most(&share);
@@ -233,9 +225,9 @@ fn motion(setup: &TestSetup, corners: &[FaultState], seen: &[Collector], finding
     if let Some(w) = plan.regime {
         let r = w.from as usize - 1..w.to as usize;
         let drift = |run: &Collector| {
-            let x = within(&column("omega_m", run), &r);
+            let x = within(run, Channel::OmegaM, &r);
             let (early, late) = x.split_at(x.len() / 2);
-            (mean(late) - mean(early)).abs() / mean(&x).abs().max(1e-3)
+            (mean(late) - mean(early)).abs() / mean(x).abs().max(1e-3)
         };
         let (x, at) = most(&drift);
         add(
@@ -255,16 +247,16 @@ fn motion(setup: &TestSetup, corners: &[FaultState], seen: &[Collector], finding
             "regime",
             false,
             found,
-            "a step of at least 0.65 s".into(),
+            format!("a step of at least {} s", REGIME_S.1),
             String::new(),
         );
     }
     let furthest = |run: &Collector| {
-        let user = column("theta_u", run).iter().fold(0.0f64, |a, x| a.max(x.abs()));
-        let motor = column("theta_m", run)
-            .iter()
-            .fold(0.0f64, |a, x| a.max((x - setup.rest_angle_rad).abs()));
-        user.max(motor / a.gear_ratio)
+        let off = |channel, from: f64| {
+            let all = run.column(channel).unwrap_or_default();
+            all.iter().fold(0.0f64, |a, x| a.max((x - from).abs()))
+        };
+        off(Channel::ThetaU, 0.0).max(off(Channel::ThetaM, setup.rest_angle_rad) / a.gear_ratio)
     };
     let (x, at) = most(&furthest);
     add(
@@ -285,10 +277,10 @@ fn advised(setup: &TestSetup, seen: &[Collector]) -> Option<(f64, f64)> {
         .filter_map(|r| r.column(Channel::OmegaM))
         .flat_map(|w| w.iter())
         .fold(0.0f64, |a, x| a.max(x.abs()));
-    let end = schemas::sequence::TestSequence::segment(&setup.sequence, |c| matches!(c, Command::Step { .. }))
-        .map_or(0.65, |s| s.duration_s.min(0.65));
+    let step = setup.sequence.segment(|c| matches!(c, Command::Step { .. }));
+    let end = step.map_or(REGIME_S.1, |s| s.duration_s.min(REGIME_S.1));
     let height = speed / a.gear_ratio * end + 1.1 * speed / a.position_gain_per_s;
-    (speed > 1.0).then_some((1.02 * height, end.max(0.65)))
+    (speed > 1.0).then_some((1.02 * height, end.max(REGIME_S.1)))
 }
 
 /// What the maps show.
@@ -329,11 +321,12 @@ fn of_maps(request: &MapRequest, findings: &mut Vec<Finding>) -> Result<()> {
         });
     }
     for left in &set.header.left_out {
+        let (found, allowed) = said(left);
         findings.push(Finding {
             check: format!("map {}", left.split(':').next().unwrap_or_default()),
             ok: false,
-            found: said(left).0,
-            allowed: said(left).1,
+            found,
+            allowed,
             advice: "it is left out of diagnoses".into(),
         });
     }

@@ -18,6 +18,7 @@ mod response;
 use crate::calibrate::simulate_features;
 use anyhow::Result;
 use diagnoser::diagnosis::{Area, Known};
+use diagnoser::map_library::checked_coverage;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -177,10 +178,7 @@ impl Refined {
 /// # Errors
 /// Refuses a coverage outside 0 to 1, fewer than two features, and a test whose simulations give no fit.
 pub fn refine(test: &Test<'_>, start: Option<Start>, coverage: f64, seed: u64) -> Result<Option<Refined>> {
-    if !(coverage > 0.0 && coverage < 1.0) {
-        let allowed = "a share above 0 and below 1, for example 0.95";
-        return Err(Error::bad("command line", "coverage", coverage, allowed).into());
-    }
+    checked_coverage(coverage)?;
     let problem = Problem::new(test)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let start = start.unwrap_or(Start::ANYWHERE);

@@ -13,6 +13,7 @@ use diagnoser::failure_map::FailureMapSet;
 use diagnoser::map_library::rounded_rest_angle;
 use diagnoser::uncertainty::{Deviations, deviations};
 use diagnoser::unit::{BASELINES, Baseline, Constants, KindEntry, Stratum, TestEntry, UnitCalibration, UnitFile};
+use nalgebra::DMatrix;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -78,10 +79,16 @@ pub fn ready(request: &MapRequest, unit: &UnitFile) -> Result<(FailureMapSet, Un
 }
 
 /// A unit of the prior, as shares of the half-widths of its spread.
-fn draw_unit(prior: &Constants, half_width: &[f64; Cause::COUNT], rng: &mut ChaCha8Rng) -> [f64; Cause::COUNT] {
+///
+/// * `root` of the prior: [`Constants::root`]
+fn draw_unit(
+    prior: &Constants,
+    root: &DMatrix<f64>,
+    half_width: &[f64; Cause::COUNT],
+    rng: &mut ChaCha8Rng,
+) -> [f64; Cause::COUNT] {
     let end = 3f64.sqrt();
     let t: Vec<f64> = prior.causes.iter().map(|_| rng.random_range(-end..end)).collect();
-    let root = prior.root();
     let mut draw = [0.0; Cause::COUNT];
     for (i, c) in prior.causes.iter().enumerate() {
         let x: f64 = (0..=i).map(|k| root[(i, k)] * t[k]).sum();
@@ -118,9 +125,10 @@ pub fn calibrate(
     let first = HISTORIES[HISTORIES.len() - 1];
     let each = first + effort.tests;
     let mut rng = ChaCha8Rng::seed_from_u64(seeds[2]);
+    let root = prior.root();
     let mut tests: Vec<Unit> = Vec::with_capacity(effort.units * each);
     for _ in 0..effort.units {
-        let own = draw_unit(prior, &spread.half_width, &mut rng);
+        let own = draw_unit(prior, &root, &spread.half_width, &mut rng);
         for k in 0..each {
             let mut draw = own;
             for (c, _) in &prior.of_test {
@@ -146,7 +154,7 @@ pub fn calibrate(
     let kinds: Vec<(Feature, f64)> = set
         .joint_of_unit()
         // break-away comes in whole samples, also where all simulated units have the same
-        .map(|m| (m.feature, m.budget.noise.hypot(m.budget.sample / 3f64.sqrt())))
+        .map(|m| (m.feature, m.budget.measurement()))
         .chain(set.witnesses.iter().map(|w| (w.feature, w.budget.noise)))
         .collect();
     let sample = |(u, raw): (&Unit, _)| -> Option<(Deviations, Vec<f64>)> {

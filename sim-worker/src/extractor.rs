@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 /// Start and end of P1's window after the step [s] (paper 4.2.1 "regime"; the figures are those
 /// of the reference actuator's specification).
-const REGIME_S: (f64, f64) = (0.20, 0.65);
+pub const REGIME_S: (f64, f64) = (0.20, 0.65);
 
 /// Share of the no-load speed Vs/(2 ke) that ends the rise time: half of it is reached far from where
 /// the controller takes the speed back, and where the current is still high (assumed).

@@ -189,6 +189,11 @@ pub fn parse_known(text: &[String], actuator: &ActuatorParameters, rest_angle_ra
     text.iter().map(one).collect()
 }
 
+/// Standard deviation of a uniform distribution.
+pub fn of_uniform(half_width: f64) -> f64 {
+    half_width / 3f64.sqrt()
+}
+
 /// Half-widths of the uniform distributions of all causes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spread {

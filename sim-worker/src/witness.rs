@@ -110,30 +110,31 @@ impl SineWitness {
     /// The part of the torque-giving current that turns round with the motion, against the place, its mean [A]: what
     /// dynamic friction takes. Inertia takes the same forth and back, and so does a bias.
     pub fn kinetic_current_a(&self) -> Option<f64> {
-        let mean = |(sum, n): (f64, u32)| sum / f64::from(n);
         let (mut sum, mut count) = (0.0, 0);
-        for (back, forth) in self.bins[0].iter().zip(&self.bins[1]) {
-            if back.1 >= FEWEST && forth.1 >= FEWEST {
-                sum += 0.5 * (mean(*forth) - mean(*back));
-                count += 1;
-            }
+        for (_, back, forth) in self.both_ways() {
+            sum += 0.5 * (forth - back);
+            count += 1;
         }
         (count >= BINS / 3).then(|| sum / count as f64)
+    }
+
+    /// Places that were passed often enough both ways: number, mean torque-giving current back and forth [A].
+    fn both_ways(&self) -> impl Iterator<Item = (usize, f64, f64)> {
+        let mean = |(sum, n): (f64, u32)| sum / f64::from(n);
+        let places = self.bins[0].iter().zip(&self.bins[1]).enumerate();
+        let seen = places.filter(|(_, (back, forth))| back.1 >= FEWEST && forth.1 >= FEWEST);
+        seen.map(move |(k, (back, forth))| (k, mean(*back), mean(*forth)))
     }
 
     /// The part of the torque-giving current that does not turn round with the motion, against the place: its
     /// mean (a bias torque), and the root mean square of what a straight line leaves (cogging, a tight
     /// spot; the straight line is the inertia's) [A].
     pub fn even_current_a(&self) -> Option<(f64, f64)> {
-        let mean = |(sum, n): (f64, u32)| sum / f64::from(n);
         // fixed in size: asked for with every frame, which must not allocate
         let (mut x, mut y, mut count) = ([0.0; BINS], [0.0; BINS], 0);
-        for k in 0..BINS {
-            let (back, forth) = (self.bins[0][k], self.bins[1][k]);
-            if back.1 >= FEWEST && forth.1 >= FEWEST {
-                (x[count], y[count]) = (k as f64, 0.5 * (mean(back) + mean(forth)));
-                count += 1;
-            }
+        for (k, back, forth) in self.both_ways() {
+            (x[count], y[count]) = (k as f64, 0.5 * (back + forth));
+            count += 1;
         }
         if count < BINS / 3 {
             return None;

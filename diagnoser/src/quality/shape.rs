@@ -64,12 +64,6 @@ pub struct MapShape {
     pub crossings: Crossings,
 }
 
-/// Standard uncertainty of one measurement of a feature: sensors and, where it comes in whole samples, one
-/// sample (uniform). P3 has the latter only.
-pub(super) fn measurement(map: &FailureMap) -> f64 {
-    map.budget.noise.hypot(map.budget.sample / 3f64.sqrt())
-}
-
 /// Mean change of a feature over each grid cell, from one side to the other: along FSJ, along zeta.
 fn changes(map: &FailureMap) -> impl Iterator<Item = (f64, f64)> {
     let n = map.fsj.len();
@@ -116,7 +110,7 @@ impl MapShape {
             }
             worst
         };
-        let measurement = measurement(map);
+        let measurement = map.budget.measurement();
         let cells = ((rows - 1) * (columns - 1)) as f64;
         let flat =
             |of: fn((f64, f64)) -> f64| changes(map).filter(|&c| of(c).abs() <= measurement).count() as f64 / cells;
@@ -279,7 +273,7 @@ impl Convergence {
         };
         Self {
             feature: map.feature,
-            measurement: measurement(map),
+            measurement: map.budget.measurement(),
             interpolation,
             finer: smoothness(&fine, &coarse) * interpolation,
             fine: mean(&fine),

@@ -1,8 +1,7 @@
 //! What a healthy test of a unit gives, over the unit's constants: a quadratic response surface at the healthy point
 //! (Box and Wilson 1951), fitted to simulated units.
 
-use crate::uncertainty::Deviations;
-use nalgebra::{DMatrix, DVector};
+use crate::uncertainty::{Deviations, Regression, all_pairs};
 use schemas::feature::{Feature, Features};
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +56,7 @@ impl Baseline {
             .filter(|(_, s)| *s > 0.0)
             .collect();
         let n = acting.len();
-        let mut pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
+        let mut pairs: Vec<(usize, usize)> = all_pairs(n).collect();
         if samples.len() < SAMPLES_EACH * (1 + n + pairs.len()) {
             pairs.clear();
         }
@@ -70,17 +69,12 @@ impl Baseline {
                 .collect::<Vec<f64>>()
         };
         let rows: Vec<Vec<f64>> = samples.iter().map(|s| row(&s.0)).collect();
-        let m = 1 + n + pairs.len();
-        let design = DMatrix::from_fn(samples.len(), m, |i, j| rows[i][j]);
-        let mut normal = design.transpose() * &design;
-        (0..m).for_each(|i| normal[(i, i)] += 1e-9 * samples.len() as f64);
-        let solver = normal.cholesky().expect("positive definite by the ridge");
-        let free = (samples.len() as f64 - m as f64).max(1.0);
+        let regression = Regression::new(&rows);
+        let free = (samples.len() as f64 - (1 + n + pairs.len()) as f64).max(1.0);
         let (mut coefficients, mut left) = (Vec::new(), Vec::new());
         for k in 0..features.len() {
-            let y = DVector::from_iterator(samples.len(), samples.iter().map(|s| s.1[k]));
-            let x = solver.solve(&(design.transpose() * &y));
-            left.push(((y - &design * &x).norm_squared() / free).sqrt());
+            let (x, rest) = regression.fit(samples.iter().map(|s| s.1[k]));
+            left.push((rest.norm_squared() / free).sqrt());
             coefficients.push(x.iter().copied().collect());
         }
         Self {
@@ -144,7 +138,7 @@ impl Baseline {
     pub fn at(&self, deviations: &Deviations) -> Vec<Expected> {
         let x: Vec<f64> = self.acting.iter().map(|&(c, size)| deviations[c] / size).collect();
         let one = |(k, name): (usize, &String)| {
-            let feature = Feature::every().find(|f| f.name() == name)?;
+            let feature = Feature::from_name(name)?;
             let a = self.coefficients.get(k)?;
             let mut value = *a.first()?;
             let mut by = vec![0.0; x.len()];

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use schemas::feature::{Feature, Features};
 use schemas::fingerprint::{exact, fingerprint};
 use sim_worker::parameters::ActuatorParameters;
-use sim_worker::spread::{Cause, Spread};
+use sim_worker::spread::{Cause, Spread, of_uniform};
 
 /// Standard deviations of a study, by this factor, are those that a unit begins with (assumed): what is identified in
 /// motion over seconds and what a short test shows are not quite the same.
@@ -44,11 +44,6 @@ pub struct Learnt {
     /// what is the same in all tests and no constant explains: feature, value in its unit, in standard deviations of what
     /// the response surface leaves
     pub left: Vec<(Feature, f64, f64)>,
-}
-
-/// Standard deviation of a uniform distribution.
-fn of_uniform(half_width: f64) -> f64 {
-    half_width / 3f64.sqrt()
 }
 
 /// Whether it is another one in each test of a unit.
@@ -346,11 +341,9 @@ impl Constants {
         let (mean, covariance) = diagnoser.factors_given(features, (again * again) as f64)?;
         let n = self.causes.len();
         let root = self.root();
-        // factors of the constants come first; those that are 0 are left out
-        let kept: Vec<usize> = (0..n).filter(|&k| (0..n).any(|i| root[(i, k)] != 0.0)).collect();
-        let rows = DMatrix::from_fn(n, kept.len(), |i, k| root[(i, kept[k])]);
-        let moved = &rows * mean.rows(0, kept.len());
-        let covariance = &rows * covariance.view((0, 0), (kept.len(), kept.len())) * rows.transpose();
+        // factors of the constants come first
+        let moved = &root * mean.rows(0, n);
+        let covariance = &root * covariance.view((0, 0), (n, n)) * root.transpose();
         Some(Self {
             causes: self.causes.clone(),
             mean: self.mean.iter().zip(moved.iter()).map(|(m, x)| m + x).collect(),

@@ -112,7 +112,7 @@ impl TestEntry {
     pub fn features(&self) -> Features {
         let mut features = Features::default();
         for (name, value) in &self.features {
-            if let Some(f) = Feature::every().find(|f| f.name() == name) {
+            if let Some(f) = Feature::from_name(name) {
                 features = features.with(f, Some(*value));
             }
         }
@@ -263,7 +263,7 @@ impl UnitFile {
         };
         let pairs = |of: &[(String, f64)]| of.iter().map(|(k, h)| Ok((cause(k)?, *h))).collect::<Result<Vec<_>>>();
         let discrepancy = |(name, shift, uncertainty): &(String, f64, f64)| {
-            let feature = Feature::every().find(|f| f.name() == name);
+            let feature = Feature::from_name(name);
             let feature = feature.filter(|_| shift.is_finite() && uncertainty.is_finite() && *uncertainty >= 0.0);
             let allowed = "a feature and two finite numbers, the uncertainty not below 0";
             let feature = feature.ok_or_else(|| Error::bad(&file, "discrepancy", name, allowed))?;

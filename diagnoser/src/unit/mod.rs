@@ -148,10 +148,10 @@ impl UnitCalibration {
             // an effect is missing: what it does at other faults nobody knows
             return Err(refused);
         }
-        for round in 0..WIDENINGS {
-            if round == 0 && !wider.is_empty() {
-                learnt = prior.after_healthy(&self.baseline, tests, &wider);
-            }
+        if !wider.is_empty() {
+            learnt = prior.after_healthy(&self.baseline, tests, &wider);
+        }
+        for _ in 0..WIDENINGS {
             if learnt.misfit <= gate {
                 learnt.constants.discrepancy = discrepancy(&learnt, &wider);
                 return Ok(learnt.constants);
