@@ -85,6 +85,7 @@ pub mod map_library;
 pub mod monotone;
 pub mod paper;
 pub mod paving;
+pub mod prognosis;
 pub mod quality;
 pub mod receive;
 pub mod record;

@@ -62,6 +62,7 @@ pub mod input;
 pub mod interruptible;
 pub mod maps;
 pub(crate) mod output;
+pub mod prognosis;
 pub mod refine;
 pub(crate) mod replay;
 pub(crate) mod report;

@@ -20,6 +20,7 @@ pub mod campaign;
 pub mod coverage;
 pub mod fleet;
 pub mod independent;
+pub mod lives;
 pub mod mutation;
 pub mod s3;
 pub mod second;

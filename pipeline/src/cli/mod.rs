@@ -8,6 +8,7 @@ mod diagnose;
 mod discrepancy;
 mod maps;
 mod plot;
+pub(crate) mod prognosis;
 mod query;
 mod run;
 mod simulate;
@@ -108,6 +109,14 @@ enum Commands {
         --healthy && ema diagnose today.csv --unit tail7.json && ema unit update tail7.json today.csv"
     )]
     Unit(unit::UnitCommand),
+    /// From diagnoses over time to the time that is left: trend, rate, law, remaining life, when to look again
+    #[command(
+        after_help = "Example: ema prognosis diagnoses.jsonl --threshold fsj=4 --out prognosis    (a log of ema live --log)\n\
+        Status: ok, doubtful, too_early (fewer than 5 tests with an interval), passed, refused; the reason says why.\n\
+        RUL is the shortest interval of 90 %; without --fleet, or below 20 finished lives, it is a design figure. \
+        Probabilities, priors and limits are assumed where no fleet has taught them."
+    )]
+    Prognosis(prognosis::PrognosisCommand),
     /// What a fleet plan comes to: runs, bytes and time, measured before anything starts
     #[command(after_help = "Example: ema plan datasets/fleets/demo.toml")]
     Plan(dataset::PlanArgs),
@@ -188,6 +197,7 @@ pub fn main() -> ExitCode {
         Commands::Discrepancy(a) => discrepancy::discrepancy(&a),
         Commands::Check(a) => check::run(&a),
         Commands::Unit(a) => unit::unit(&a),
+        Commands::Prognosis(a) => prognosis::prognosis(&a),
         Commands::Plan(a) => dataset::plan(&a),
         Commands::Dataset(a) => dataset::dataset(&a),
         Commands::Query(_) => query::query(),

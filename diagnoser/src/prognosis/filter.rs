@@ -1,0 +1,687 @@
+//! The filter: a Gaussian sum over damage and the logarithm of its rate.
+//!
+//! Each component belongs to one [`Model`] (law, wear, volatility, scatter) and is a 2 x 2 extended Kalman filter over
+//! damage `x` [share of U] and `rho`; nodes of rho make it exact enough where the rate is still broad. In each update
+//! branches (regular, jump, wrong diagnosis) are matched by their moments. Where damage is seen much more finely than it
+//! scatters, gamma increments and jumps are taken as what they are, since a normal of their variance learns the rate
+//! wrongly of them.
+
+use super::law::{Family, MOST};
+use super::prior::{Laws, MODELS, Model, Prior, Wear};
+use super::special::{bessel_scaled, erfc, ln_gamma, log_normal, normal_cdf};
+use std::sync::Arc;
+
+/// Share of diagnoses that are wrong, and the standard deviation of those [share of U] (assumed).
+const WRONG: f64 = 0.004;
+const WRONG_SD: f64 = 0.35;
+
+/// Jumps a life beside other wear, and their size [share of U] (assumed).
+const RARE_JUMPS: f64 = 0.3;
+const RARE_SIZE: f64 = 0.08;
+
+/// Share of units whose wear has not begun; its logarithm of the rate beside the prior's, and the spread of that
+/// (assumed).
+const DORMANT: (f64, f64, f64) = (0.1, -6.0, 1.0);
+
+/// Changes to a slower rate, as a share of those to a faster one (assumed).
+const SLOWER: f64 = 0.2;
+
+/// Components below this share of the best are dropped; so many are kept at most once the first tests have been read.
+const LEAST: f64 = 1e-6;
+const MOST_KEPT: usize = 150;
+/// Components that are kept after the first test; over the tests that follow they go down to those.
+const MOST_AT_FIRST: usize = 3000;
+
+/// Nodes of rho at the beginning, at a change of regime, and where a combination that was dropped is tried again.
+const NODES: usize = 7;
+const NODES_REBORN: usize = 4;
+const NODES_AGAIN: usize = 3;
+
+/// Tests between two sweeps of merging and rebirth; sweeps in which every combination that was dropped is tried again
+/// once; the share of a rebirth that they get, and the mass below which they count as dropped (assumed).
+const SWEEP: u32 = 4;
+const ROUND: usize = 8;
+const AGAIN: f64 = 0.2;
+const DROPPED: f64 = 1e-3;
+
+/// Mass that a combination needs to be born anew itself.
+const REBORN: f64 = 0.01;
+
+/// Dynamic model averaging: what a test leaves of the logarithm of a model's odds. Without it a law is certain after a
+/// hundred tests that are exact to 0.1 %, and wrong (assumed).
+const FORGETTING: f64 = 0.98;
+
+/// Age [tests] from which a regime is old.
+pub const OLD: u32 = 60;
+
+/// One normal distribution of the sum.
+#[derive(Clone, Copy, Debug)]
+pub struct Component {
+    /// combination it belongs to
+    pub model: Model,
+    /// its mass
+    pub weight: f64,
+    /// damage [share of U]
+    pub x: f64,
+    /// logarithm of the rate
+    pub rho: f64,
+    /// covariance: of damage
+    pub pxx: f64,
+    /// of damage with the rate
+    pub pxr: f64,
+    /// of the rate
+    pub prr: f64,
+    /// update at which its regime began; 0 from the start
+    pub born: u32,
+}
+
+/// What one test says of damage [share of U].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reading {
+    /// damage, its stated standard uncertainty, and the level that scatter in proportion goes by
+    Damage {
+        /// damage
+        y: f64,
+        /// stated standard uncertainty
+        sd: f64,
+        /// level
+        level: f64,
+    },
+    /// damage is above a bound
+    Above(f64),
+}
+
+/// The Gaussian sum of one unit and fault.
+#[derive(Clone, Debug)]
+pub struct Filter {
+    prior: Arc<Prior>,
+    laws: Laws,
+    /// its components; weights add up to 1
+    pub components: Vec<Component>,
+    /// natural logarithm of the probability density of all readings so far
+    pub evidence: f64,
+    /// readings so far
+    pub updates: u32,
+    /// innovation of the last reading [standard deviations]
+    pub innovation: f64,
+    /// probability that the last reading was a wrong diagnosis
+    pub wrong: f64,
+    sweeps: usize,
+    hazard: f64,
+    forgetting: f64,
+}
+
+impl Filter {
+    /// A unit whose damage is `x` with standard deviation `sd` [share of U], and of whose rate the prior alone is known.
+    pub fn new(prior: Arc<Prior>, x: f64, sd: f64) -> Self {
+        let mut components = Vec::new();
+        for model in Model::all() {
+            let mass = prior.mass(model);
+            let (mean, spread) = prior.rho(model);
+            let (share, below, sd_rho) = DORMANT;
+            let awake = nodes(mean, spread, NODES).map(|(w, r, p)| (w * (1.0 - share), r, p));
+            for (w, rho, prr) in awake.chain([(share, mean + below, sd_rho * sd_rho)]) {
+                let weight = w * mass;
+                components.push(Component {
+                    model,
+                    weight,
+                    x,
+                    rho,
+                    pxx: sd * sd,
+                    pxr: 0.0,
+                    prr,
+                    born: 0,
+                });
+            }
+        }
+        Self {
+            prior,
+            laws: Laws::new(),
+            components,
+            evidence: 0.0,
+            updates: 0,
+            innovation: 0.0,
+            wrong: 0.0,
+            sweeps: 0,
+            hazard: 0.0,
+            forgetting: FORGETTING,
+        }
+    }
+
+    /// One combination alone, with nothing forgotten and no change of regime: what referees can follow.
+    pub fn of_one(prior: Arc<Prior>, model: Model, x: f64, sd: f64) -> Self {
+        let mut f = Self::new(
+            Arc::new(Prior {
+                hazard: 0.0,
+                ..prior.as_ref().clone()
+            }),
+            x,
+            sd,
+        );
+        let mean = prior.rho(model).0;
+        f.components
+            .retain(|c| c.model == model && c.rho > mean + 0.9 * DORMANT.1);
+        f.forgetting = 1.0;
+        f.normalise();
+        f
+    }
+
+    /// The prior that it began with.
+    pub fn prior(&self) -> &Prior {
+        &self.prior
+    }
+
+    /// The laws that it averages over.
+    pub fn laws(&self) -> &Laws {
+        &self.laws
+    }
+
+    /// Time `dt` goes by [units of the clock], and a test is read, if there is one.
+    pub fn step(&mut self, dt: f64, reading: Option<Reading>) {
+        let (mut sum, mut wrong, mut innovation, mut usual) = (0.0, 0.0, 0.0, 0.0);
+        let interval = self.prior.interval;
+        for c in &mut self.components {
+            let s = (c.rho.min(20.0).exp() * dt).min(1.0);
+            usual += c.weight * (c.rho.max(self.prior.rho_mean[c.model.law()]).min(20.0).exp() * dt).min(1.0);
+            let (like, w, z) = read(c, self.laws.of(c.model), s, dt, interval, reading);
+            if reading.is_some() {
+                c.weight *= like;
+                sum += c.weight;
+                wrong += c.weight * w;
+                innovation += c.weight * z;
+            }
+        }
+        self.hazard += self.prior.hazard * usual;
+        if reading.is_none() {
+            return;
+        }
+        if !(sum > 0.0 && sum.is_finite()) {
+            // nothing explains it: as if it had not been read
+            for c in &mut self.components {
+                c.weight = if c.weight.is_finite() {
+                    c.weight.max(1e-12)
+                } else {
+                    1e-12
+                };
+            }
+            sum = self.components.iter().map(|c| c.weight).sum();
+            (wrong, innovation) = (sum, 0.0);
+        }
+        self.evidence += sum.ln();
+        (self.wrong, self.innovation) = (wrong / sum, innovation / sum);
+        self.updates += 1;
+        self.normalise();
+        self.forget();
+        self.prune();
+        if self.updates.is_multiple_of(SWEEP) {
+            self.merge();
+            let share = (1.0 - (-self.hazard).exp()).min(0.5);
+            self.hazard = 0.0;
+            if share > 0.0 {
+                self.rebirth(share);
+            }
+        }
+    }
+
+    fn normalise(&mut self) {
+        let sum: f64 = self.components.iter().map(|c| c.weight).sum();
+        for c in &mut self.components {
+            c.weight /= sum;
+        }
+    }
+
+    /// What has been sinking sinks in towards the prior.
+    fn forget(&mut self) {
+        if self.forgetting >= 1.0 {
+            return;
+        }
+        let mut factors = [0.0; MODELS];
+        for c in &self.components {
+            factors[c.model.index()] += c.weight;
+        }
+        for (f, prior) in factors.iter_mut().zip(&self.prior.joint) {
+            if *f > 0.0 {
+                // mass^phi prior^(1 - phi), over the mass
+                *f = (prior.max(1e-9) / *f).powf(1.0 - self.forgetting);
+            }
+        }
+        for c in &mut self.components {
+            c.weight *= factors[c.model.index()];
+        }
+        self.normalise();
+    }
+
+    fn prune(&mut self) {
+        let best = self.components.iter().fold(0.0, |m: f64, c| m.max(c.weight));
+        self.components.retain(|c| c.weight >= LEAST * best);
+        let most = (MOST_AT_FIRST / self.updates.max(1) as usize).max(MOST_KEPT);
+        if self.components.len() > most {
+            self.components
+                .select_nth_unstable_by(most, |a, b| b.weight.total_cmp(&a.weight));
+            self.components.truncate(most);
+        }
+        self.normalise();
+    }
+
+    /// Components of one combination and regime that say the same become one.
+    fn merge(&mut self) {
+        let now = self.updates;
+        let key = |c: &Component| (c.model, if now.saturating_sub(c.born) > OLD { 0 } else { c.born });
+        self.components.sort_unstable_by(|a, b| {
+            let by = key(a).cmp(&key(b)).then(a.rho.total_cmp(&b.rho));
+            by.then(a.x.total_cmp(&b.x)).then(a.weight.total_cmp(&b.weight))
+        });
+        let mut kept: Vec<Component> = Vec::with_capacity(self.components.len());
+        for c in &self.components {
+            match kept.last_mut() {
+                Some(k)
+                    if key(k) == key(c)
+                        && (k.rho - c.rho).powi(2) < 0.6 * k.prr.min(c.prr)
+                        && (k.x - c.x).powi(2) < 0.6 * k.pxx.min(c.pxx) + 1e-12 =>
+                {
+                    *k = matched(k, c);
+                }
+                _ => kept.push(*c),
+            }
+        }
+        self.components = kept;
+    }
+
+    /// A share of the mass begins anew with a rate of the prior; law, wear and scatter as learned, or nearly so.
+    pub fn rebirth(&mut self, share: f64) {
+        #[derive(Clone, Copy, Default)]
+        struct Sums {
+            mass: f64,
+            first: f64,
+            x: f64,
+            xx: f64,
+            pxx: f64,
+            rho: f64,
+        }
+        let mut sums = [Sums::default(); MODELS];
+        for c in &self.components {
+            let s = &mut sums[c.model.index()];
+            s.mass += c.weight;
+            s.first += if c.born == 0 { c.weight } else { 0.0 };
+            s.x += c.weight * c.x;
+            s.xx += c.weight * c.x * c.x;
+            s.pxx += c.weight * c.pxx;
+            s.rho += c.weight * c.rho;
+        }
+        let (later, born) = (self.prior.later, self.updates);
+        let [(x_all, sx_all), _] = self.moments();
+        self.sweeps += 1;
+        let mut young = Vec::new();
+        for model in Model::all() {
+            let s = sums[model.index()];
+            let (mean, sd) = self.prior.rho(model);
+            if s.mass >= REBORN {
+                // later changes are rarer, and so are those to a slower rate
+                let share = share * (s.first + later * (s.mass - s.first)) / s.mass;
+                let (x, now) = (s.x / s.mass, s.rho / s.mass);
+                let pxx = (s.xx / s.mass - x * x).max(0.0) + s.pxx / s.mass;
+                let rarer = |rho: f64| if rho < now { SLOWER } else { 1.0 };
+                let total: f64 = nodes(mean, sd, NODES_REBORN).map(|(w, rho, _)| w * rarer(rho)).sum();
+                for (w, rho, prr) in nodes(mean, sd, NODES_REBORN) {
+                    let weight = w * rarer(rho) / total.max(0.3) * s.mass * share;
+                    young.push(Component {
+                        model,
+                        weight,
+                        x,
+                        rho,
+                        pxx,
+                        pxr: 0.0,
+                        prr,
+                        born,
+                    });
+                }
+            } else if s.mass < DROPPED && model.index() % ROUND == self.sweeps % ROUND {
+                let weight = share * AGAIN * ROUND as f64 * self.prior.mass(model);
+                for (w, rho, prr) in nodes(mean, sd, NODES_AGAIN) {
+                    let (weight, pxx) = (w * weight, sx_all * sx_all);
+                    young.push(Component {
+                        model,
+                        weight,
+                        x: x_all,
+                        rho,
+                        pxx,
+                        pxr: 0.0,
+                        prr,
+                        born,
+                    });
+                }
+            }
+        }
+        for c in &mut self.components {
+            if sums[c.model.index()].mass >= REBORN {
+                c.weight *= 1.0 - if c.born == 0 { share } else { share * later };
+            }
+        }
+        self.components.extend(young);
+        self.normalise();
+    }
+
+    /// A repair to damage `x` with standard deviation `sd`: law, wear and scatter are kept, the rate nearly.
+    pub fn repaired(&mut self, x: f64, sd: f64) {
+        const WIDER: f64 = 0.3;
+        for c in &mut self.components {
+            (c.x, c.pxx, c.pxr) = (x, sd * sd, 0.0);
+            c.prr += WIDER * WIDER;
+            c.born = 0;
+        }
+        self.merge();
+    }
+
+    /// Mean and standard deviation of damage [share of U], and of rho.
+    pub fn moments(&self) -> [(f64, f64); 2] {
+        [self.moments_of(|c| (c.x, c.pxx)), self.moments_of(|c| (c.rho, c.prr))]
+    }
+
+    /// Mean and standard deviation of something that a component has with a mean and a variance.
+    pub fn moments_of(&self, f: impl Fn(&Component) -> (f64, f64)) -> (f64, f64) {
+        let mean: f64 = self.components.iter().map(|c| c.weight * f(c).0).sum();
+        let variance = |c: &Component| {
+            let (a, p) = f(c);
+            c.weight * ((a - mean).powi(2) + p)
+        };
+        (mean, self.components.iter().map(variance).sum::<f64>().max(0.0).sqrt())
+    }
+
+    /// Mean and standard deviation of the logarithm of the growth of damage [1 / unit of the clock].
+    pub fn log_rate(&self) -> (f64, f64) {
+        self.moments_of(|c| (c.rho + self.laws.of(c.model).rate(c.x).max(1e-300).ln(), c.prr))
+    }
+
+    /// Mass by family of laws.
+    pub fn families(&self) -> [f64; Family::ALL.len()] {
+        let mut out = [0.0; Family::ALL.len()];
+        for c in &self.components {
+            out[self.laws.of(c.model).family() as usize] += c.weight;
+        }
+        out
+    }
+
+    /// Mass by group of wears.
+    pub fn groups(&self) -> [f64; Model::GROUPS.len()] {
+        let mut out = [0.0; Model::GROUPS.len()];
+        for c in &self.components {
+            out[c.model.group()] += c.weight;
+        }
+        out
+    }
+
+    /// Share of the stated variance that scatters from test to test; what is left is common to the unit's tests.
+    pub fn scatter_share(&self) -> f64 {
+        self.components
+            .iter()
+            .map(|c| c.weight * c.model.noise().of_stated.powi(2))
+            .sum()
+    }
+}
+
+/// Growth and one reading: the likelihood, the probability of a wrong diagnosis, the innovation [standard deviations].
+fn read(
+    c: &mut Component,
+    law: &super::law::Law,
+    s: f64,
+    dt: f64,
+    interval: f64,
+    reading: Option<Reading>,
+) -> (f64, f64, f64) {
+    let (grown, a, b) = law.grow(c.x, s);
+    let rise = (grown - c.x).max(0.0);
+    let prr = c.prr + c.model.volatility().powi(2) * s;
+    let wear = c.model.wear();
+    let variance = match wear {
+        Wear::Smooth(kappa) => kappa * rise,
+        Wear::Gamma(cv) => cv * cv * rise * rise * (interval / dt.max(1e-12)),
+        Wear::Jumps(size) => 2.0 * size * rise,
+    };
+    match reading {
+        None => {
+            propagate(c, grown, a, b, variance, prr);
+            (1.0, 0.0, 0.0)
+        }
+        Some(Reading::Above(bound)) => {
+            propagate(c, grown, a, b, variance, prr);
+            (censored(c, bound), 0.0, 0.0)
+        }
+        Some(Reading::Damage { y, sd, level }) => {
+            let noise = c.model.noise();
+            let r = (noise.of_stated * sd).powi(2) + (noise.of_level * level).powi(2);
+            match wear {
+                Wear::Jumps(size) if c.pxx + r < 0.09 * size * size => {
+                    c.prr = prr;
+                    jumping(c, y, r, rise / size, size)
+                }
+                Wear::Gamma(_) if c.pxx + r < 0.25 * variance && dt > 0.0 => {
+                    c.prr = prr;
+                    gamma(c, y, r, rise, variance)
+                }
+                _ => {
+                    propagate(c, grown, a, b, variance, prr);
+                    gaussian(c, y, r, RARE_JUMPS * s)
+                }
+            }
+        }
+    }
+}
+
+/// A normal distribution as a sum of `n` narrower ones: weights, means, variances.
+fn nodes(mean: f64, sd: f64, n: usize) -> impl Iterator<Item = (f64, f64, f64)> {
+    // over +- 2.4 sd; as broad as makes them overlap, and the sum's variance right
+    let h = 4.8 * sd / n as f64;
+    let at = move |i: usize| mean + (i as f64 - 0.5 * (n as f64 - 1.0)) * h;
+    let width = (0.8 * h).min(0.9 * sd);
+    let rest = sd * sd - width * width;
+    let density = move |i: usize| (-0.5 * (at(i) - mean).powi(2) / rest).exp();
+    let total: f64 = (0..n).map(density).sum();
+    (0..n).map(move |i| (density(i) / total, at(i), width * width))
+}
+
+fn propagate(c: &mut Component, grown: f64, a: f64, b: f64, variance: f64, prr: f64) {
+    c.pxx = a * a * c.pxx + 2.0 * a * b * c.pxr + b * b * c.prr + variance;
+    c.pxr = a * c.pxr + b * c.prr;
+    (c.x, c.prr) = (grown, prr);
+}
+
+/// Two components as one of the same mean and covariance.
+fn matched(k: &Component, c: &Component) -> Component {
+    let w = k.weight + c.weight;
+    let (f, g) = (k.weight / w, c.weight / w);
+    let (dx, dr) = (c.x - k.x, c.rho - k.rho);
+    Component {
+        model: k.model,
+        weight: w,
+        x: k.x + g * dx,
+        rho: k.rho + g * dr,
+        pxx: f * k.pxx + g * c.pxx + f * g * dx * dx,
+        pxr: f * k.pxr + g * c.pxr + f * g * dx * dr,
+        prr: f * k.prr + g * c.prr + f * g * dr * dr,
+        born: if c.weight > k.weight { c.born } else { k.born },
+    }
+}
+
+/// Branches, whose weights are their likelihoods, as one; and the whole likelihood.
+fn joined<const N: usize>(c: &mut Component, parts: [Component; N]) -> f64 {
+    let total: f64 = parts.iter().map(|p| p.weight).sum();
+    if !(total > 1e-290 && total.is_finite()) {
+        return 0.0;
+    }
+    let mut parts = parts.iter().filter(|p| p.weight > 1e-9 * total);
+    if let Some(first) = parts.next() {
+        let all = parts.fold(*first, |m, p| matched(&m, p));
+        *c = Component {
+            weight: c.weight,
+            ..all
+        };
+    }
+    total
+}
+
+/// Regular, jump or wrong, by normal distributions.
+fn gaussian(c: &mut Component, y: f64, r: f64, jump: f64) -> (f64, f64, f64) {
+    let e = y - c.x;
+    let s = c.pxx + r;
+    let z = e / s.sqrt();
+    let regular = (1.0 - WRONG - jump) * log_normal(e, s).exp();
+    let (kx, kr) = (c.pxx / s, c.pxr / s);
+    let followed = Component {
+        weight: regular,
+        x: c.x + kx * e,
+        rho: c.rho + kr * e,
+        pxx: c.pxx - kx * c.pxx,
+        pxr: c.pxr - kx * c.pxr,
+        prr: c.prr - kr * c.pxr,
+        ..*c
+    };
+    if z.abs() < 2.5 {
+        *c = Component {
+            weight: c.weight,
+            ..followed
+        };
+        return (regular, 0.0, z);
+    }
+    let wrong = WRONG * log_normal(e, s + WRONG_SD * WRONG_SD).exp();
+    let broad = s + RARE_SIZE * RARE_SIZE;
+    let pxx = c.pxx + RARE_SIZE * RARE_SIZE;
+    let k = pxx / broad;
+    let jumped = Component {
+        weight: if e > 0.0 {
+            jump * log_normal(e - RARE_SIZE, broad).exp()
+        } else {
+            0.0
+        },
+        x: c.x + RARE_SIZE + k * (e - RARE_SIZE),
+        pxx: pxx - k * pxx,
+        pxr: 0.0,
+        ..*c
+    };
+    let total = joined(c, [followed, Component { weight: wrong, ..*c }, jumped]);
+    (total, if total > 0.0 { wrong / total } else { 0.0 }, z)
+}
+
+/// Gamma increments that are seen much more finely than they scatter, or a wrong diagnosis. The rate is learned as the
+/// scale of a gamma variable, whose score is linear in the increment: increments more regular than the model's mislead
+/// not. Mode and curvature of the posterior of rho (Laplace).
+fn gamma(c: &mut Component, y: f64, r: f64, rise: f64, variance: f64) -> (f64, f64, f64) {
+    let e = y - c.x;
+    let s = c.pxx + r;
+    let sd = s.sqrt();
+    let shape = (rise * rise / variance).max(1e-3);
+    // an increment within the noise is taken for one of the noise's size
+    let d = e.max(0.5 * sd);
+    let reading = shape * d / rise;
+    // prior variance prr, ln likelihood -shape delta - reading exp(-delta)
+    let mut delta = 0.0;
+    for _ in 0..3 {
+        let fall = reading * f64::exp(-delta);
+        let slope = -delta / c.prr - shape + fall;
+        delta += (slope / (1.0 / c.prr + fall.max(0.3 * shape))).clamp(-1.5, 1.5);
+    }
+    let fall = reading * f64::exp(-delta);
+    let prr = 1.0 / (1.0 / c.prr + fall.max(0.3 * shape));
+    let laplace = 0.5 * (prr / c.prr).ln() - 0.5 * delta * delta / c.prr;
+    let log = shape * (shape / rise).ln() + (shape - 1.0) * d.ln() - ln_gamma(shape) - shape * delta - fall + laplace;
+    let within = (e - 0.5 * sd).min(0.0) / sd;
+    let some = (1.0 - WRONG) * (log - 0.5 * within * within).exp();
+    let wrong = WRONG * log_normal(e, s + WRONG_SD * WRONG_SD).exp();
+    let z = (e - rise) / (variance + s).sqrt();
+    let moved = Component {
+        weight: some,
+        x: y,
+        pxx: r,
+        pxr: 0.0,
+        rho: c.rho + delta,
+        prr,
+        ..*c
+    };
+    let stayed = Component {
+        weight: wrong,
+        x: c.x + rise,
+        pxx: c.pxx + variance,
+        pxr: 0.0,
+        ..*c
+    };
+    let total = joined(c, [moved, stayed]);
+    (total, if total > 0.0 { wrong / total } else { 0.0 }, z)
+}
+
+/// No jump, jumps, or a wrong diagnosis: compound Poisson wear that is seen much more finely than a jump.
+/// * `count` jumps that are expected since the last reading
+fn jumping(c: &mut Component, y: f64, r: f64, count: f64, size: f64) -> (f64, f64, f64) {
+    let e = y - c.x;
+    let s = c.pxx + r;
+    let sd = s.sqrt();
+    let z = e / sd;
+    let none = (1.0 - WRONG) * (-count + log_normal(e, s)).exp();
+    // density of at least one jump, and how many there were
+    let (density, n) = if e > 3.0 * sd {
+        let b = 2.0 * (count * e / size).sqrt();
+        if b > 1e-6 {
+            let (i0, i1) = bessel_scaled(b);
+            (
+                (b - count - e / size).exp() * (count / (size * e)).sqrt() * i1,
+                0.5 * b * i0 / i1,
+            )
+        } else {
+            (count / size * (-e / size).exp(), 1.0)
+        }
+    } else {
+        // one exponential under the noise
+        let tail = (0.5 * s / (size * size) - e / size).exp() / size;
+        (
+            count * (-count).exp() * tail * 0.5 * erfc((sd / size - z) / std::f64::consts::SQRT_2),
+            1.0,
+        )
+    };
+    let some = (1.0 - WRONG) * density;
+    let wrong = WRONG * log_normal(e, s + WRONG_SD * WRONG_SD).exp();
+    // their number is what is learned of the rate
+    let information = count * (1.0 - 0.5 * count / (1.0 + count));
+    let prr = 1.0 / (1.0 / c.prr + information);
+    let most = 1.5 * c.prr.sqrt();
+    let learned = |n: f64| c.rho + (prr * (n - count)).clamp(-most, most);
+    let k = c.pxx / s;
+    let rested = Component {
+        weight: none,
+        x: c.x + k * e,
+        pxx: c.pxx - k * c.pxx,
+        pxr: 0.0,
+        rho: learned(0.0),
+        prr,
+        ..*c
+    };
+    let moved = Component {
+        weight: some,
+        x: y,
+        pxx: r,
+        pxr: 0.0,
+        rho: learned(n),
+        prr,
+        ..*c
+    };
+    let stayed = Component {
+        weight: wrong,
+        pxx: c.pxx + 2.0 * size * size * count,
+        ..*c
+    };
+    let total = joined(c, [rested, moved, stayed]);
+    (total, if total > 0.0 { wrong / total } else { 0.0 }, z)
+}
+
+/// Damage is above `bound`: the likelihood. The component becomes the normal of the same moments.
+fn censored(c: &mut Component, bound: f64) -> f64 {
+    let sd = c.pxx.sqrt().max(1e-9);
+    let a = (bound - c.x) / sd;
+    let above = normal_cdf(-a).max(1e-12);
+    let ratio = (-0.5 * a * a).exp() / (2.0 * std::f64::consts::PI).sqrt() / above;
+    let (dx, left) = (sd * ratio, (1.0 - ratio * (ratio - a)).clamp(0.02, 1.0));
+    let k = c.pxr / c.pxx.max(1e-18);
+    c.rho += k * dx;
+    c.prr -= k * c.pxr * (1.0 - left);
+    c.x = (c.x + dx).min(MOST);
+    c.pxr *= left;
+    c.pxx *= left;
+    above
+}

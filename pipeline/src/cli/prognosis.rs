@@ -1,0 +1,568 @@
+//! `ema prognosis`.
+
+use super::say;
+use crate::Interrupted;
+use crate::prognosis::learn::{Ends, Unit, learn, units_of};
+use crate::prognosis::page::{fine, moment, report, short};
+use crate::prognosis::read::{End, Test, Units, events, history, truths};
+use crate::prognosis::score::{Scored, score, to_json as score_json, to_text as score_text};
+use crate::prognosis::{Asked, Clock, Events, Threshold, Told, history_of, learn as fleet_file, outlooks, tables};
+use crate::progress::{interrupted, note};
+use anyhow::Result;
+use clap::{Args, Subcommand};
+use diagnoser::prognosis::Fleet;
+use diagnoser::prognosis::outlook::promise;
+use schemas::error::Error;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+#[derive(Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub struct PrognosisCommand {
+    #[command(subcommand)]
+    command: Option<Sub>,
+    #[command(flatten)]
+    args: PrognosisArgs,
+}
+
+#[derive(Subcommand)]
+enum Sub {
+    /// What a fleet teaches: prior, lives to compare with, calibration
+    #[command(after_help = "Example: ema prognosis learn histories.csv --truth removals.csv --out fleet.json")]
+    Learn(LearnArgs),
+    /// Replay every past prediction of units whose end is known
+    #[command(after_help = "Example: ema prognosis score histories.csv --truth removals.csv --fleet fleet.json")]
+    Score(ScoreArgs),
+}
+
+#[derive(Args)]
+struct PrognosisArgs {
+    /// Diagnoses over time: a log of ema live (.jsonl, .parquet), or a table (.csv, .parquet) with the columns actuator,
+    /// time (ISO, or a number) or cycle, outcome, fsj_lo, fsj_hi, fsj_estimate, zeta_lo ..., coverage
+    #[arg(required = true)]
+    history: Option<PathBuf>,
+    #[command(flatten)]
+    what: WhatArgs,
+    /// What a fleet has taught, a file of ema prognosis learn
+    #[arg(long)]
+    fleet: Option<PathBuf>,
+    /// Probability of having passed the threshold that is taken
+    #[arg(long, default_value = "0.01", value_parser = risk)]
+    risk: f64,
+    /// One more time ahead at which the probability of failure is told, beside 10, 20 and 50 [units of the clock]
+    #[arg(long, value_parser = positive)]
+    horizon: Option<f64>,
+    /// Folder for trends.parquet, prognoses.parquet, alarms.parquet, figures and report.html
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Keys for programs: an object a line, for each actuator and threshold
+    #[arg(long)]
+    json: bool,
+    /// Read a growing log again whenever it has grown, and say what is new, until Ctrl-C
+    #[arg(long)]
+    follow: bool,
+}
+
+#[derive(Args)]
+struct WhatArgs {
+    /// Fault and the level that ends its life, such as fsj=4 or zeta=0.4; may be repeated. Left out: fsj=4 and zeta=0.4 where
+    /// the table has them (assumed)
+    #[arg(long, value_name = "FAULT=LEVEL")]
+    threshold: Vec<String>,
+    /// In what time is counted; the clock in which laws fit better where a table has two
+    #[arg(long)]
+    clock: Option<Clock>,
+    /// Repairs and other interventions, a CSV file with the columns actuator, time or cycle, kind (repair, replacement,
+    /// lubrication, configuration, sensor), fault, note
+    #[arg(long)]
+    events: Option<PathBuf>,
+    /// Any bounded health indicator in place of FSJ and zeta: NAME, and NAME_lo, NAME_hi where they are known
+    #[arg(long, value_name = "NAME")]
+    column: Option<String>,
+    /// Its level in a healthy unit; the median of a unit's first five tests where it is left out (assumed)
+    #[arg(long)]
+    healthy: Option<f64>,
+}
+
+#[derive(Args)]
+struct LearnArgs {
+    /// Histories of the fleet
+    #[arg(required = true)]
+    history: Vec<PathBuf>,
+    #[command(flatten)]
+    what: WhatArgs,
+    /// Ends of lives, a CSV file with the columns actuator, time or cycle, event; without it lives end where tests have
+    /// passed the threshold, or are about to
+    #[arg(long)]
+    truth: Option<PathBuf>,
+    /// File to be written
+    #[arg(long)]
+    out: PathBuf,
+}
+
+#[derive(Args)]
+struct ScoreArgs {
+    /// Histories
+    #[arg(required = true)]
+    history: Vec<PathBuf>,
+    #[command(flatten)]
+    what: WhatArgs,
+    /// Ends of lives, a CSV file with the columns actuator, time or cycle, event
+    #[arg(long)]
+    truth: PathBuf,
+    /// What a fleet of other units has taught
+    #[arg(long)]
+    fleet: Option<PathBuf>,
+    /// Folder for scores.csv, a row a forecast
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Keys for programs
+    #[arg(long)]
+    json: bool,
+}
+
+fn risk(text: &str) -> std::result::Result<f64, String> {
+    let allowed = "a probability from 0.0001 to 0.5".to_string();
+    text.parse().ok().filter(|x| (1e-4..=0.5).contains(x)).ok_or(allowed)
+}
+
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|x: &f64| x.is_finite() && *x > 0.0)
+        .ok_or("a number above 0".into())
+}
+
+pub fn prognosis(c: &PrognosisCommand) -> Result<ExitCode> {
+    match &c.command {
+        Some(Sub::Learn(a)) => learned(a),
+        Some(Sub::Score(a)) => scored(a),
+        None => foretold(&c.args),
+    }
+}
+
+/// Thresholds that are named, or those that are usual for the faults that a table has.
+fn thresholds(w: &WhatArgs, history_file: &Path, from_truth: Vec<Threshold>) -> Result<Vec<Threshold>> {
+    let named = w.threshold.iter().map(|text| {
+        let (fault, level) = match (text.split_once('='), &w.column) {
+            (Some((f, l)), _) => (f.trim().to_ascii_lowercase(), l),
+            (None, Some(c)) => (c.to_ascii_lowercase(), text.as_str()),
+            (None, None) => (String::new(), text.as_str()),
+        };
+        let is_known = ["fsj", "zeta"].contains(&fault.as_str())
+            || w.column.as_ref().is_some_and(|c| c.eq_ignore_ascii_case(&fault));
+        match level.trim().parse::<f64>() {
+            Ok(l) if l.is_finite() && is_known => Ok(Threshold::new(&fault, l, w.healthy)),
+            _ => {
+                let allowed = "FAULT=LEVEL with fsj, zeta or the column of --column, and a number";
+                Err(Error::bad("command line", "--threshold", text, allowed).into())
+            }
+        }
+    });
+    let named: Vec<Threshold> = named.collect::<Result<_>>()?;
+    for t in &named {
+        if t.healthy.is_some_and(|h| h == t.level) {
+            let allowed = "a level other than the healthy one";
+            return Err(Error::bad(
+                "command line",
+                "--threshold",
+                format!("{}={}", t.fault, t.level),
+                allowed,
+            )
+            .into());
+        }
+    }
+    if !named.is_empty() {
+        return Ok(named);
+    }
+    if !from_truth.is_empty() {
+        return Ok(from_truth);
+    }
+    if w.column.is_some() {
+        return Err(Error::bad(
+            "command line",
+            "--threshold",
+            "nothing",
+            "a level for the column of --column",
+        )
+        .into());
+    }
+    let usual = [("fsj", 4.0), ("zeta", 0.4)].map(|(f, l)| Threshold::new(f, l, None));
+    let has = |t: &Threshold| {
+        history(history_file, std::slice::from_ref(&t.fault))
+            .is_ok_and(|u| u.values().flatten().any(|t| t.levels[0].lo.is_some()))
+    };
+    let found: Vec<Threshold> = usual.into_iter().filter(has).collect();
+    if found.is_empty() {
+        let allowed = "--threshold, with the column that it is for in the table";
+        return Err(Error::bad("command line", "--threshold", "nothing", allowed).into());
+    }
+    let words: Vec<String> = found.iter().map(|t| format!("{}={}", t.fault, t.level)).collect();
+    note(&format!("threshold {} (assumed)", words.join(", ")));
+    Ok(found)
+}
+
+fn asked(w: &WhatArgs, thresholds: Vec<Threshold>, risk: f64, horizon: Option<f64>) -> Asked {
+    let mut horizons = vec![10.0, 20.0, 50.0];
+    horizons.extend(horizon.filter(|h| !horizons.contains(h)));
+    Asked {
+        thresholds,
+        clock: w.clock,
+        risk,
+        horizons,
+    }
+}
+
+fn events_of(w: &WhatArgs) -> Result<Events> {
+    w.events.as_deref().map_or_else(|| Ok(Events::new()), events)
+}
+
+fn fleets_of(path: Option<&Path>) -> Result<Vec<Fleet>> {
+    path.map_or_else(|| Ok(Vec::new()), fleet_file::read)
+}
+
+fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
+    let file = a.history.clone().unwrap_or_default();
+    let asked = asked(&a.what, thresholds(&a.what, &file, Vec::new())?, a.risk, a.horizon);
+    let faults: Vec<String> = asked.thresholds.iter().map(|t| t.fault.clone()).collect();
+    let fleets = fleets_of(a.fleet.as_deref())?;
+    let mut size = 0;
+    let mut said: BTreeMap<(String, String), usize> = BTreeMap::new();
+    loop {
+        let now = std::fs::metadata(&file).map_or(0, |m| m.len());
+        if now != size {
+            size = now;
+            let units = history(&file, &faults)?;
+            let events = events_of(&a.what)?;
+            let told = outlooks(&file.display().to_string(), &units, &events, &asked, &fleets)?;
+            let new = told.iter().filter(|t| {
+                let key = (t.outlook.actuator.clone(), t.threshold.fault.clone());
+                said.insert(key, t.outlook.tests) != Some(t.outlook.tests)
+            });
+            for t in new {
+                say(&if a.json { to_json(t).to_string() } else { text(t) + "\n" });
+            }
+            if let Some(dir) = &a.out {
+                written(dir, &told, &units, &events, &asked, &fleets, a.json)?;
+            }
+        }
+        if !a.follow {
+            return Ok(ExitCode::SUCCESS);
+        }
+        std::thread::sleep(Duration::from_millis(300));
+        if interrupted() {
+            return Err(Interrupted.into());
+        }
+    }
+}
+
+fn written(
+    dir: &Path,
+    told: &[Told],
+    units: &Units,
+    events: &Events,
+    asked: &Asked,
+    fleets: &[Fleet],
+    quiet: bool,
+) -> Result<()> {
+    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
+    tables::write(dir, told)?;
+    let none = Vec::new();
+    let of = |t: &Told| {
+        let index = asked.thresholds.iter().position(|x| x.fault == t.threshold.fault)?;
+        let name = &t.outlook.actuator;
+        history_of(
+            name,
+            units.get(name)?,
+            events.get(name).unwrap_or(&none),
+            (&t.threshold.fault, index),
+            t.clock,
+        )
+        .ok()
+    };
+    let pages = crate::report::write(&report(told, fleets, &of), dir, "report.html")?;
+    if !quiet {
+        say(&format!(
+            "wrote     {}, trends, prognoses, alarms (.parquet) beside it",
+            pages.last().map_or_else(String::new, |p| p.display().to_string())
+        ));
+    }
+    Ok(())
+}
+
+/// All histories of a command, units of different files apart; and the ends that are told of them.
+fn all_of(files: &[PathBuf], faults: &[String]) -> Result<Vec<(String, Vec<Test>)>> {
+    let mut all: Vec<(String, Vec<Test>)> = Vec::new();
+    for f in files {
+        all.extend(history(f, faults)?);
+    }
+    Ok(all)
+}
+
+fn learned(a: &LearnArgs) -> Result<ExitCode> {
+    let truth = a.truth.as_deref().map(truths).transpose()?.unwrap_or_default();
+    let thresholds = thresholds(&a.what, &a.history[0], Vec::new())?;
+    let asked = asked(&a.what, thresholds, 0.01, None);
+    let (units, clock) = units_by_fault(&a.history, &a.what, &asked, &truth)?;
+    let mut fleets = Vec::new();
+    let mut n = 0;
+    for (t, units) in asked.thresholds.iter().zip(&units) {
+        n = n.max(units.len());
+        let (fleet, ends): (Fleet, Ends) = learn(units, t, clock)?;
+        say(&format!(
+            "{} {}: {} units, {} lives to the end ({} told, {} past the threshold, {} extrapolated), {} alive; {}",
+            t.fault,
+            t.level,
+            units.len(),
+            fleet.lives.len(),
+            ends.told,
+            ends.crossed,
+            ends.extrapolated,
+            ends.alive,
+            if fleet.is_calibrated() {
+                "intervals are calibrated"
+            } else {
+                "too few lives (20) to calibrate: intervals stay a design figure"
+            },
+        ));
+        fleets.push(fleet);
+    }
+    fleet_file::write(&a.out, &fleets, n)?;
+    say(&format!("wrote     {}", a.out.display()));
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Units with their ends, by threshold.
+fn units_by_fault(
+    files: &[PathBuf],
+    w: &WhatArgs,
+    asked: &Asked,
+    truth: &BTreeMap<String, Vec<End>>,
+) -> Result<(Vec<Vec<Unit>>, Clock)> {
+    let faults: Vec<String> = asked.thresholds.iter().map(|t| t.fault.clone()).collect();
+    let all = all_of(files, &faults)?;
+    let events = events_of(w)?;
+    let clock = fleet_file::clock(&files[0].display().to_string(), &all, &events, asked)?;
+    let of = |(i, t): (usize, &Threshold)| units_of(&all, &events, truth, (t, i), clock);
+    Ok((asked.thresholds.iter().enumerate().map(of).collect(), clock))
+}
+
+/// Thresholds as a file of truths names them: `fsj>4`.
+fn named_in(truth: &BTreeMap<String, Vec<End>>) -> Vec<Threshold> {
+    let mut found: Vec<(String, String)> = truth
+        .values()
+        .flatten()
+        .filter_map(|e| {
+            e.event
+                .split_once('>')
+                .map(|(f, l)| (f.trim().to_ascii_lowercase(), l.trim().to_string()))
+        })
+        .collect();
+    found.sort();
+    found.dedup();
+    let known = found.into_iter().filter(|(f, _)| f == "fsj" || f == "zeta");
+    known
+        .filter_map(|(f, l)| Some(Threshold::new(&f, l.parse().ok()?, None)))
+        .collect()
+}
+
+fn scored(a: &ScoreArgs) -> Result<ExitCode> {
+    let truth = truths(&a.truth)?;
+    let thresholds = thresholds(&a.what, &a.history[0], named_in(&truth))?;
+    let fleets = fleets_of(a.fleet.as_deref())?;
+    let asked = asked(&a.what, thresholds, 0.01, None);
+    let (units, _) = units_by_fault(&a.history, &a.what, &asked, &truth)?;
+    let mut rows = String::from("fault,unit,lambda,truth,median,lo,hi,crps\n");
+    let mut objects = Vec::new();
+    for (t, units) in asked.thresholds.iter().zip(&units) {
+        let fleet = fleets.iter().find(|f| f.fault == t.fault);
+        let s: Scored = score(units, fleet, &asked.horizons)?;
+        if s.units == 0 {
+            let file = a.truth.display().to_string();
+            let allowed = format!("the end of at least one unit of the history, for {}", t.fault);
+            return Err(Error::bad(file, "rows", "none that fits", allowed).into());
+        }
+        let lives = fleet.filter(|f| f.is_calibrated()).map(|f| f.lives.len());
+        if a.json {
+            objects.push(score_json(&s, &t.fault, t.level, lives));
+        } else {
+            say(&score_text(&s, &t.fault, t.level));
+        }
+        for f in &s.forecasts {
+            let name = &units[f.unit].history.actuator;
+            rows += &format!(
+                "{},{name},{:.4},{:.6},{:.6},{:.6},{:.6},{:.6}\n",
+                t.fault, f.lambda, f.truth, f.median, f.lo, f.hi, f.crps
+            );
+        }
+    }
+    if a.json {
+        let whole = if objects.len() == 1 {
+            objects.remove(0)
+        } else {
+            Value::Array(objects)
+        };
+        say(&whole.to_string());
+    }
+    if let Some(dir) = &a.out {
+        std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
+        schemas::error::write_whole(&dir.join("scores.csv"), rows.as_bytes())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A finite number, or null.
+fn number(x: f64) -> Value {
+    if x.is_finite() { json!(x) } else { Value::Null }
+}
+
+/// Keys of the interface.
+pub fn to_json(t: &Told) -> Value {
+    let o = &t.outlook;
+    let ends = |e: Option<(f64, f64, f64)>| match e {
+        Some((lo, hi, estimate)) => json!({"lo": number(lo), "hi": number(hi), "estimate": number(estimate)}),
+        None => json!({"lo": null, "hi": null, "estimate": null}),
+    };
+    let laws = o.laws.iter().map(|(f, m)| (f.name().to_string(), json!(m)));
+    let p_fail = o.p_fail.iter().map(|(h, p)| (h.to_string(), json!(p)));
+    let alarm = |a: &diagnoser::prognosis::track::Alarm| json!({"kind": a.kind.name(), "at": number(a.at), "probability": a.probability, "text": a.text});
+    let rul = o.rul();
+    let of = |f: fn((f64, f64, f64)) -> f64| rul.map_or(Value::Null, |r| number(f(r)));
+    json!({
+        "actuator": o.actuator,
+        "fault": t.threshold.fault,
+        "threshold": number(t.threshold.level),
+        "clock": t.clock.name(),
+        "tests": o.tests,
+        "used": o.used,
+        "at": number(o.at),
+        "level": ends(o.level),
+        "rate": ends(o.rate),
+        "law": serde_json::Map::from_iter(laws),
+        "change": o.change.map(|c| json!({"at": c.at, "probability": c.probability, "factor": c.factor})),
+        "rul": {"median": of(|r| r.2), "lo": of(|r| r.0), "hi": of(|r| r.1)},
+        "rul_days": t.days.and_then(|d| rul.map(|r| json!({"median": number(d * r.2), "lo": number(d * r.0), "hi": number(d * r.1)}))),
+        "coverage": diagnoser::prognosis::fleet::COVERAGE,
+        "calibration_lives": o.left.as_ref().and_then(|l| l.calibrated),
+        "p_fail": serde_json::Map::from_iter(p_fail),
+        "p_never": o.p_never,
+        "next_test": o.next_test.map(number),
+        "next_inspection": o.next_inspection.map(number),
+        "risk": o.risk,
+        "status": o.status.name(),
+        "alarms": o.alarms.iter().map(alarm).collect::<Vec<_>>(),
+        "reason": o.reason,
+    })
+}
+
+/// For people: as many lines as there is something to say.
+pub fn text(t: &Told) -> String {
+    let o = &t.outlook;
+    let clock = t.clock.name();
+    let mut out = format!("actuator  {}   {} tests, {} used", o.actuator, o.tests, o.used);
+    if let Some(track) = &t.track {
+        let count = |name: &str| track.trends.iter().filter(|r| r.ended.name() == name).count();
+        for name in ["unexplained", "out_of_range", "incomplete"] {
+            if count(name) > 0 {
+                out += &format!(", {} {}", count(name), name.replace('_', " "));
+            }
+        }
+    }
+    if o.repairs > 0 {
+        out += &format!("; {} repairs", o.repairs);
+    }
+    let title = match t.threshold.fault.as_str() {
+        "fsj" => "FSJ".to_string(),
+        name => name.into(),
+    };
+    if let Some((lo, hi, e)) = o.level {
+        out += &format!(
+            "\n{title:<9} {} in {} .. {} (95 %)",
+            fine(e, hi - lo),
+            fine(lo, hi - lo),
+            fine(hi, hi - lo)
+        );
+    }
+    if let Some((lo, hi, e)) = o.rate {
+        let mut laws: Vec<_> = o.laws.iter().filter(|l| l.1 >= 0.05).collect();
+        laws.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let laws: Vec<String> = laws
+            .iter()
+            .map(|(f, m)| format!("{} {m:.2}", f.name().replace('_', " ")))
+            .collect();
+        out += &format!(
+            "\nrate      {} a {clock} in {} .. {};  law: {}",
+            short(e),
+            short(lo),
+            short(hi),
+            laws.join(", ")
+        );
+    }
+    if let Some(c) = o.change {
+        out += &format!(
+            "\nchange    {} ({} .. {}), rate x {:.1}, probability {:.2}",
+            moment(t.clock, c.at),
+            short(c.since.0),
+            short(c.since.1),
+            c.factor,
+            c.probability
+        );
+    }
+    if let (Some((lo, hi, median)), Some(left)) = (o.rul(), &o.left) {
+        out += &format!(
+            "\nRUL       {} {clock}s in {} .. {} ({})",
+            short(median),
+            short(lo),
+            short(hi),
+            promise(left)
+        );
+        if let Some(d) = t.days {
+            out += &format!(";  {} d .. {} d at the pace of late", short(d * lo), short(d * hi));
+        }
+        let p: Vec<String> = o
+            .p_fail
+            .iter()
+            .map(|p| {
+                if p.1 < 0.001 {
+                    "< 0.001".into()
+                } else {
+                    format!("{:.3}", p.1)
+                }
+            })
+            .collect();
+        let h: Vec<String> = o.p_fail.iter().map(|p| short(p.0)).collect();
+        out += &format!(
+            "\nP(beyond {}) within {} {clock}s: {}",
+            if t.threshold.level.is_nan() {
+                "a threshold".into()
+            } else {
+                short(t.threshold.level)
+            },
+            h.join(", "),
+            p.join(", ")
+        );
+        if let (Some(a), Some(b)) = (o.next_test, o.next_inspection) {
+            out += &format!(
+                "\nadvice    next test by {}, inspection by {} (risk {} %)",
+                moment(t.clock, a),
+                moment(t.clock, b),
+                short(100.0 * o.risk)
+            );
+        }
+    }
+    if o.status.name() != "ok" {
+        out += &format!("\n{:<9} {}", o.status.name().replace('_', " ").to_uppercase(), o.reason);
+    }
+    for a in o.alarms.iter().rev().take(3) {
+        out += &format!(
+            "\nalarm     {} at {}: {}",
+            a.kind.name().replace('_', " "),
+            moment(t.clock, a.at),
+            a.text
+        );
+    }
+    out
+}

@@ -1,0 +1,321 @@
+//! The page of a prognosis: the fleet by risk; trend, time left, its distribution and the laws of the worst units.
+
+use super::tables::by_risk;
+use super::{Clock, Told};
+use crate::COMMIT;
+use crate::report::{Figure, Report, Section, Table, TableRow, TracePlot};
+use arrow::temporal_conversions::timestamp_ns_to_datetime;
+use diagnoser::prognosis::fleet::{COVERAGE, Fleet, without_fleet};
+use diagnoser::prognosis::forecast::quantile;
+use diagnoser::prognosis::law::Family;
+use diagnoser::prognosis::outlook::promise;
+use diagnoser::prognosis::{History, Track};
+use std::sync::Arc;
+
+/// Units with figures of their own, worst first.
+const SHOWN: usize = 6;
+
+/// Past forecasts in a figure.
+const PAST: usize = 24;
+
+/// The report.
+/// * `histories` that of a unit and fault, for the figure of past forecasts
+pub fn report(told: &[Told], fleets: &[Fleet], histories: &dyn Fn(&Told) -> Option<History>) -> Report {
+    let sorted = by_risk(told);
+    let clock = told.first().map_or(Clock::Cycle, |t| t.clock);
+    let mut sections = vec![fleet_section(&sorted, clock)];
+    for t in sorted
+        .iter()
+        .filter(|t| t.track.is_some() && t.outlook.used > 0)
+        .take(SHOWN)
+    {
+        let fleet = fleets.iter().find(|f| f.fault == t.threshold.fault);
+        sections.push(unit_section(t, sections.len(), fleet, histories));
+    }
+    let doubtful = told.iter().filter(|t| t.outlook.status.name() != "ok").count();
+    let summary = format!(
+        "{} outlooks; {} of them are not plain (doubtful, too early, passed or refused: the reasons stand in the table). Intervals: {}.",
+        told.len(),
+        doubtful,
+        told.iter()
+            .find_map(|t| t.outlook.left.as_ref())
+            .map_or("none".into(), promise),
+    );
+    Report {
+        title: "Prognosis".into(),
+        summary,
+        facts: vec![
+            ("clock".into(), clock.name().into()),
+            ("coverage of intervals".into(), format!("{:.0} %", 100.0 * COVERAGE)),
+            (
+                "program".into(),
+                format!("ema {} ({COMMIT})", env!("CARGO_PKG_VERSION")),
+            ),
+        ],
+        sections,
+    }
+}
+
+/// A number by four digits, or as many as stand before its point.
+pub fn short(x: f64) -> String {
+    match x.abs() {
+        _ if x.is_infinite() => "never".into(),
+        _ if x.is_nan() => "-".into(),
+        a if a >= 1000.0 => format!("{x:.0}"),
+        _ => format!("{x:.3e}")
+            .parse::<f64>()
+            .map_or_else(|_| "-".into(), |v| v.to_string()),
+    }
+}
+
+/// A number with two digits of a width.
+pub fn fine(x: f64, width: f64) -> String {
+    let digits = (1.0 - width.abs().max(1e-12).log10().floor()).clamp(0.0, 12.0);
+    format!("{x:.*}", digits as usize)
+}
+
+/// A moment of a clock: days since 1970 as a date.
+pub fn moment(clock: Clock, x: f64) -> String {
+    let to_ns = 86_400e9 / if clock == Clock::Hour { 24.0 } else { 1.0 };
+    // numbers of a clock that begins elsewhere are no dates
+    let is_date = matches!(clock, Clock::Day | Clock::Hour) && x * to_ns > 315_360_000e9 && x * to_ns < 9e18;
+    let date = is_date.then(|| timestamp_ns_to_datetime((x * to_ns) as i64)).flatten();
+    date.map_or_else(
+        || format!("{} {}", clock.name(), short(x)),
+        |d| d.format("%Y-%m-%d").to_string(),
+    )
+}
+
+fn fleet_section(sorted: &[&Told], clock: Clock) -> Section {
+    let row = |t: &&Told| {
+        let o = &t.outlook;
+        let rul = o.rul();
+        let cells = vec![
+            o.actuator.clone(),
+            t.threshold.fault.clone(),
+            o.status.name().replace('_', " "),
+            o.level.map_or("-".into(), |l| short(l.2)),
+            rul.map_or("-".into(), |r| short(r.2)),
+            rul.map_or("-".into(), |r| format!("{} .. {}", short(r.0), short(r.1))),
+            o.p_fail.get(1).map_or("-".into(), |p| format!("{:.3}", p.1)),
+            o.next_test.map_or("-".into(), |x| moment(clock, x)),
+            o.next_inspection.map_or("-".into(), |x| moment(clock, x)),
+            if o.reason.is_empty() {
+                o.alarms.last().map_or(String::new(), |a| {
+                    format!("{}: {}", a.kind.name().replace('_', " "), a.text)
+                })
+            } else {
+                o.reason.clone()
+            },
+        ];
+        TableRow {
+            cells,
+            emphasis: o.status.name() == "passed",
+        }
+    };
+    let ahead = sorted
+        .iter()
+        .find_map(|t| t.outlook.p_fail.get(1))
+        .map_or(20.0, |p| p.0);
+    let header = [
+        "actuator".into(),
+        "fault".into(),
+        "status".into(),
+        "level".into(),
+        format!("left, median [{}s]", clock.name()),
+        format!("left, 90 % [{}s]", clock.name()),
+        format!("P(fail within {ahead})"),
+        "test by".into(),
+        "inspect by".into(),
+        "reason, last alarm".into(),
+    ];
+    Section {
+        title: "The fleet, by risk".into(),
+        text: "Worst first, by the lower end of the time left. Inspect by: when the probability of having passed the threshold reaches \
+               the risk. \"never\" is within the interval where some futures do not reach the threshold within ten usual lives."
+            .into(),
+        tables: vec![Table {
+            caption: "Outlooks".into(),
+            header: header.into(),
+            rows: sorted.iter().map(row).collect(),
+            note: String::new(),
+        }],
+        figures: Vec::new(),
+    }
+}
+
+fn unit_section(
+    t: &Told,
+    number: usize,
+    fleet: Option<&Fleet>,
+    histories: &dyn Fn(&Told) -> Option<History>,
+) -> Section {
+    let o = &t.outlook;
+    let stem = |what: &str| format!("unit{number}_{what}");
+    let mut figures = Vec::new();
+    if let (Some(track), Some(scale)) = (&t.track, t.scale) {
+        figures.push((stem("trend"), Figure::Trace(trend(t, track, scale))));
+        if let Some(h) = histories(t) {
+            let (left, laws) = past(t, track, &h, fleet);
+            figures.push((stem("left"), Figure::Trace(left)));
+            figures.push((stem("laws"), Figure::Trace(laws)));
+        }
+        if o.left.is_some() {
+            figures.push((stem("cdf"), Figure::Trace(distribution(t))));
+        }
+    }
+    let alarms: Vec<String> = o
+        .alarms
+        .iter()
+        .rev()
+        .take(6)
+        .map(|a| format!("- {} at {}: {}", a.kind.name().replace('_', " "), short(a.at), a.text))
+        .collect();
+    let mut text = super::super::cli::prognosis::text(t);
+    if !alarms.is_empty() {
+        text += &format!("\n\nLast alarms:\n\n{}", alarms.join("\n"));
+    }
+    let lines: Vec<String> = text
+        .lines()
+        .map(|l| {
+            if l.is_empty() || l.starts_with("- ") || l.starts_with("Last") {
+                l.into()
+            } else {
+                format!("- {l}")
+            }
+        })
+        .collect();
+    Section {
+        title: format!("{}, {}", o.actuator, t.threshold.fault),
+        text: lines.join("\n"),
+        tables: Vec::new(),
+        figures,
+    }
+}
+
+fn trend(t: &Told, track: &Track, scale: diagnoser::prognosis::Scale) -> TracePlot {
+    let o = &t.outlook;
+    let level = |z: f64| -> Vec<(f64, f64)> {
+        let used = track.trends.iter().filter(|r| r.used.name() != "none");
+        used.map(|r| (r.at, scale.level(r.damage.0 + z * r.damage.1))).collect()
+    };
+    let first = track.trends.first().map_or(0.0, |r| r.at);
+    let mut series = vec![
+        ("level".to_string(), level(0.0)),
+        ("95 %".into(), level(1.96)),
+        ("95 % ".into(), level(-1.96)),
+    ];
+    let mut end = o.at;
+    if let (Some(l), Some(now)) = (&o.left, o.level) {
+        for (name, time) in [
+            ("left, 90 %", l.interval.0),
+            ("left, median", quantile(&l.times, 0.5)),
+            ("left, 90 % ", l.interval.1),
+        ] {
+            let time = time.min(3.0 * (o.at - first).max(l.interval.0));
+            end = end.max(o.at + time);
+            series.push((name.into(), vec![(o.at, now.2), (o.at + time, scale.threshold)]));
+        }
+    }
+    series.push((
+        "threshold".into(),
+        vec![(first, scale.threshold), (end, scale.threshold)],
+    ));
+    let span = (scale.healthy, scale.threshold);
+    for (at, kind) in t.events.iter().take(6) {
+        series.push((kind.clone(), vec![(*at, span.0), (*at, span.1)]));
+    }
+    if let Some(c) = o.change {
+        series.push(("change of rate".into(), vec![(c.at, span.0), (c.at, span.1)]));
+    }
+    TracePlot {
+        title: format!("{}: {}, and the way to the threshold", o.actuator, t.threshold.fault),
+        x_label: format!("time [{}s]", t.clock.name()),
+        y_label: t.threshold.fault.clone(),
+        series,
+    }
+}
+
+/// Time left as it was told over time with the cone of what was left if it is the median of today; and the laws.
+fn past(t: &Told, whole: &Track, history: &History, fleet: Option<&Fleet>) -> (TracePlot, TracePlot) {
+    let prior = Arc::new(whole.filter.prior().clone());
+    let mut track = Track::new(prior, whole.scale);
+    let n = history.rows.len();
+    let step = n.div_ceil(PAST).max(1);
+    let [mut lo, mut median, mut hi] = [const { Vec::new() }; 3];
+    let mut laws: Vec<Vec<(f64, f64)>> = vec![Vec::new(); Family::ALL.len()];
+    for i in 0..n {
+        track.read(history, i);
+        if (i + 1) % step != 0 && i + 1 != n || track.since_repair < 5 {
+            continue;
+        }
+        let left = fleet.map_or_else(|| without_fleet(&track), |f| f.left(&track));
+        let told = |x: f64| if x.is_finite() { x } else { f64::NAN };
+        lo.push((track.at, told(left.interval.0)));
+        median.push((track.at, told(quantile(&left.times, 0.5))));
+        hi.push((track.at, told(left.interval.1)));
+        let mut sum = 0.0;
+        for (l, f) in laws.iter_mut().zip(track.filter.families()) {
+            sum += f;
+            l.push((track.at, sum));
+        }
+    }
+    let clock = format!("time [{}s]", t.clock.name());
+    let mut series = vec![
+        ("90 %".to_string(), lo),
+        ("median".into(), median.clone()),
+        ("90 % ".into(), hi),
+    ];
+    if let (Some(first), Some(r)) = (median.first(), t.outlook.rul())
+        && r.2.is_finite()
+    {
+        let end = t.outlook.at + r.2;
+        for (name, share) in [
+            ("end as the last median has it", 1.0),
+            ("20 % more", 1.2),
+            ("20 % less", 0.8),
+        ] {
+            series.push((name.into(), vec![(first.0, share * (end - first.0)), (end, 0.0)]));
+        }
+    }
+    let left = TracePlot {
+        title: format!("{}: time left as told over time", t.outlook.actuator),
+        x_label: clock.clone(),
+        y_label: format!("time left [{}s]", t.clock.name()),
+        series,
+    };
+    let named = Family::ALL
+        .into_iter()
+        .zip(laws)
+        .map(|(f, l)| (format!("up to {}", f.name().replace('_', " ")), l));
+    let laws = TracePlot {
+        title: format!("{}: laws of growth, cumulated probability", t.outlook.actuator),
+        x_label: clock,
+        y_label: "probability".into(),
+        series: named.collect(),
+    };
+    (left, laws)
+}
+
+fn distribution(t: &Told) -> TracePlot {
+    let mut series = Vec::new();
+    if let Some(l) = &t.outlook.left {
+        let n = l.times.len() as f64;
+        let finite = l.times.iter().take_while(|x| x.is_finite());
+        series.push((
+            "P(failed by then)".to_string(),
+            finite.enumerate().map(|(i, x)| (*x, (i as f64 + 0.5) / n)).collect(),
+        ));
+        for (name, x) in [("90 %", l.interval.0), ("90 % ", l.interval.1)] {
+            if x.is_finite() {
+                series.push((name.into(), vec![(x, 0.0), (x, 1.0)]));
+            }
+        }
+    }
+    TracePlot {
+        title: format!("{}: distribution of the time left", t.outlook.actuator),
+        x_label: format!("time left [{}s]", t.clock.name()),
+        y_label: "probability".into(),
+        series,
+    }
+}
