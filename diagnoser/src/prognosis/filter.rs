@@ -33,7 +33,7 @@ const MOST_KEPT: usize = 150;
 const MOST_AT_FIRST: usize = 3000;
 
 /// Nodes of rho at the beginning, at a change of regime, and where a combination that was dropped is tried again.
-const NODES: usize = 7;
+const NODES: usize = 13;
 const NODES_REBORN: usize = 4;
 const NODES_AGAIN: usize = 3;
 
@@ -450,7 +450,7 @@ fn read(
             let noise = c.model.noise();
             let r = (noise.of_stated * sd).powi(2) + (noise.of_level * level).powi(2);
             match wear {
-                Wear::Jumps(size) if c.pxx + r < 0.09 * size * size => {
+                Wear::Jumps(size) if c.pxx + r < size * size => {
                     c.prr = prr;
                     jumping(c, y, r, rise / size, size)
                 }
