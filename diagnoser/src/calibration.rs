@@ -7,6 +7,7 @@
 //! by the quadrant of the fault range that the estimate lies in (Mondrian), so that no quadrant pays for
 //! another.
 
+use crate::seal;
 use crate::uncertainty::ResponseSurfaces;
 use schemas::error::{Error, Result, write_whole};
 use serde::{Deserialize, Serialize};
@@ -119,7 +120,7 @@ impl Calibration {
     /// Fails where the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string(self).expect("plain data");
-        write_whole(path, text.as_bytes())
+        write_whole(path, seal::sealed(&text).as_bytes())
     }
 
     /// Reads a saved one.
@@ -127,7 +128,7 @@ impl Calibration {
     /// * `maps` fingerprint of the maps that it must belong to
     ///
     /// # Errors
-    /// Refuses where the file cannot be read, is torn, or belongs to other maps.
+    /// Refuses where the file cannot be read, is torn or changed, or belongs to other maps.
     pub fn load(path: &Path, maps: &str) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
         let mut value: serde_json::Value = serde_json::from_str(&text).map_err(|e| Error::torn(path, e))?;
@@ -164,6 +165,7 @@ impl Calibration {
                 "a file written by ema calibrate",
             ));
         }
+        seal::check_if_sealed(path, &text, "ema calibrate")?;
         Ok(c)
     }
 }

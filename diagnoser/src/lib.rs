@@ -90,6 +90,7 @@ pub mod quality;
 pub mod receive;
 pub mod record;
 pub mod report;
+mod seal;
 pub mod sensitivity;
 pub mod smooth;
 pub mod uncertainty;

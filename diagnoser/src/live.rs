@@ -26,6 +26,9 @@ use track::{Arrival, Track};
 /// Lowest telemetry rate that a diagnosis takes [Hz].
 pub const LOWEST_RATE_HZ: f64 = 1000.0;
 
+/// Highest telemetry rate that a diagnosis takes [Hz]: what is worked out for a kind of test grows with it.
+pub const HIGHEST_RATE_HZ: f64 = 1e6;
+
 /// Finished streams remembered per actuator, so that a late frame does not look like a new run.
 const REMEMBERED: usize = 8;
 /// And of all actuators, whatever names they are given.
@@ -33,8 +36,9 @@ const REMEMBERED_IN_ALL: usize = 4096;
 
 /// Map sets kept in memory.
 const KEPT_MAPS: usize = 256;
-/// Plans of features kept in memory, one a kind of test and rate.
+/// Plans of features kept in memory, one a kind of test and rate, and samples of all of them: 256 MB.
 const KEPT_PLANS: usize = 256;
+const KEPT_PLAN_ROWS: u64 = 32 << 20;
 
 /// What the diagnoser can interpret: a frame names actuator, sequence and sensors by fingerprint.
 #[derive(Clone, Debug, Default)]
@@ -135,13 +139,27 @@ fn without_maps(mut lacking: Vec<String>, x: &FeatureExtractor) -> Diagnosis {
     Diagnosis::without_maps(incomplete(&lacking), features)
 }
 
+type Plans = HashMap<(u64, u64, u64, bool), Arc<FeaturePlan>>;
+
+/// Forgets plans that no remembered stream uses, where there are many; whether there is room for one of `rows` samples.
+fn make_room(plans: &mut Plans, rows: u64) -> bool {
+    let is_full = |plans: &Plans| {
+        let held = plans.values().map(|p| p.rows).fold(rows, u64::saturating_add);
+        held > KEPT_PLAN_ROWS
+    };
+    if plans.len() >= KEPT_PLANS || is_full(plans) {
+        plans.retain(|_, p| Arc::strong_count(p) > 1);
+    }
+    !is_full(plans)
+}
+
 /// The state of all streams.
 #[derive(Default)]
 pub struct Live {
     tasks: VecDeque<Task>,
     known: Known,
     tracks: HashMap<Key, Track>,
-    plans: HashMap<(u64, u64, u64, bool), Arc<FeaturePlan>>,
+    plans: Plans,
     maps: HashMap<MapKey, Maps>,
     wishes: Vec<MapKey>,
     to_make: Vec<MapKey>,
@@ -294,9 +312,9 @@ impl Live {
             let known = list(self.known.sensors.clone());
             return Err(format!("unknown sensors `{}`; known: {known}", run.sensors));
         }
-        if run.rate_hz < LOWEST_RATE_HZ * (1.0 - 1e-6) {
+        if !(LOWEST_RATE_HZ * (1.0 - 1e-6)..=HIGHEST_RATE_HZ * (1.0 + 1e-6)).contains(&run.rate_hz) {
             return Err(format!(
-                "rate {} Hz; allowed: at least {LOWEST_RATE_HZ} Hz",
+                "rate {} Hz; allowed: {LOWEST_RATE_HZ} to {HIGHEST_RATE_HZ} Hz",
                 run.rate_hz
             ));
         }
@@ -307,8 +325,9 @@ impl Live {
             run.rate_hz.to_bits(),
             equivalent,
         );
-        if self.plans.len() >= KEPT_PLANS {
-            self.plans.clear();
+        let rows = (sequence.duration_s() * run.rate_hz) as u64;
+        if !self.plans.contains_key(&id) && !make_room(&mut self.plans, rows) {
+            return Err("too many other kinds of tests are remembered; no more are taken at once".into());
         }
         let plan = self
             .plans

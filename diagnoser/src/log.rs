@@ -27,9 +27,9 @@ const RETRY: Duration = Duration::from_secs(1);
 /// Diagnoses that are kept while the log cannot be written; those that come after them are dropped and counted.
 pub const MOST_KEPT: usize = if cfg!(test) { 50 } else { 10_000 };
 
-/// How long a diagnosis waits to be in its log before anything is shown of it. A log that takes longer is not
-/// waited for until it has caught up.
-const PATIENCE: Duration = Duration::from_millis(10);
+/// How long a diagnosis waits to be in its log before it is reported. A log that takes longer is not waited for until
+/// it has caught up.
+const PATIENCE: Duration = Duration::from_millis(20);
 
 /// What is read from the end of an earlier log of lines [bytes], about ten thousand diagnoses.
 const MOST_READ: u64 = 16 << 20;

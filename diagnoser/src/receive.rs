@@ -95,23 +95,25 @@ impl Receiving {
         }
     }
 
-    /// Publishes, then logs and shows, what has been found.
+    /// Logs, then publishes and shows, what has been found.
     fn hand_out(&mut self) -> Result<()> {
         for report in self.live.reports() {
             let mut message = to_message(&report);
-            self.diagnoses.send(&mut message)?;
-            if report.is_final {
-                self.counts.concluded(&report.diagnosis.outcome);
-            }
             let time = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-            let logged = Logged {
+            let mut logged = Logged {
                 report,
                 time_ns: time.as_nanos() as i64,
-                publish_ns: message.publish_ns,
+                publish_ns: now_ns(),
             };
-            // in the log before anybody reads of it here: a kill loses nothing that was shown
+            // in the log before anybody hears of it: a kill loses nothing that was reported, and whoever goes on
+            // from the log says nothing twice
             if let (Some(log), true) = (&self.log, logged.report.is_final) {
                 log.append(logged.clone());
+            }
+            self.diagnoses.send(&mut message)?;
+            logged.publish_ns = message.publish_ns;
+            if logged.report.is_final {
+                self.counts.concluded(&logged.report.diagnosis.outcome);
             }
             let said = match self.show {
                 // of what is known so far only an area says anything to a person

@@ -5,7 +5,7 @@ use crate::maps::{self, MapRequest};
 use anyhow::Result;
 use diagnoser::diagnosis::{Diagnoser, Diagnosis, Known, Outcome, parse_known};
 use diagnoser::failure_map::FailureMapSet;
-use diagnoser::live::LOWEST_RATE_HZ;
+use diagnoser::live::{HIGHEST_RATE_HZ, LOWEST_RATE_HZ};
 use diagnoser::map_library::{self, Choice};
 use diagnoser::unit::UnitFile;
 use schemas::channel::Channel;
@@ -221,10 +221,10 @@ pub struct TestOf {
 /// The test that a recording is of, and its features.
 ///
 /// # Errors
-/// Refuses a rate below 1 kHz, and what cannot be recognised.
+/// Refuses a rate below 1 kHz or above 1 MHz, and what cannot be recognised.
 pub fn test_of(path: &Path, measured: &Measured, settings: &Settings) -> Result<TestOf> {
-    if measured.rate_hz < LOWEST_RATE_HZ * (1.0 - 1e-6) {
-        let allowed = format!("a steady rate of at least {} Hz", LOWEST_RATE_HZ);
+    if !(LOWEST_RATE_HZ * (1.0 - 1e-6)..=HIGHEST_RATE_HZ * (1.0 + 1e-6)).contains(&measured.rate_hz) {
+        let allowed = format!("a steady rate of at least {LOWEST_RATE_HZ} Hz, at most {HIGHEST_RATE_HZ} Hz");
         return Err(Error::bad(path.display().to_string(), "rate [Hz]", measured.rate_hz, allowed).into());
     }
     let actuator = settings.actuator_of(measured);

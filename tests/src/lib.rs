@@ -6,14 +6,14 @@
 //! - [`second`], [`independent`]: rigs and actuators of other hands: generators that know nothing of the study, written
 //!   from the words of its interface alone and kept as they were before their keys were opened
 //! - [`fleet`]: datasets made by workers that are killed, stopped and started again
-//! - [`mutation`]: inputs changed at random, through every door that takes a file
+//! - [`mutation`]: inputs changed at random, through every door that takes something from outside
 //! - [`s3`], [`slurm`]: a server and a cluster of our own, gone with the test
 //! - [`stream`]: processes on a stream of their own
 //! - [`soak`]: a stream whose processes are killed at random moments
 //! - here: runs of the reference actuator, and columns of a CSV file
 //!
 //! Next to it stand the programs under test (`main.rs`, `diagnoser.rs`, `query.rs`, `sim_worker.rs`) and the benches of
-//! diagnosis and discrepancy (`bin`). What tests of programs share besides is in `tests/common`.
+//! diagnosis, discrepancy, latency and changed inputs (`bin`). What tests of programs share besides is in `tests/common`.
 
 pub mod blind;
 pub mod campaign;

@@ -1,15 +1,18 @@
-//! A soak: diagnoser and publishers are killed at random moments, again and again. Nothing may
-//! hang, no diagnosis may be wrong, runs that no kill touched are located exactly as offline, and
-//! no shared memory is left at the end.
+//! A soak: diagnoser, publishers, bridge and subscribers are killed at random moments, again and again, with the log on. Nothing may
+//! hang, no diagnosis may be wrong, none that was reported may be missing in the log, no stream may have two, runs that no kill
+//! touched are located exactly as offline, and nothing is left at the end but what is documented.
 
 use crate::stream::{Program, TestDomain};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use schemas::feature::Feature;
 use schemas::stream::diagnosis::{DiagnosisMessage, DiagnosisSubscriber};
+use schemas::stream::frame::{BEGIN, END};
+use schemas::stream::subscriber::Subscriber;
+use schemas::stream::wire::from_text;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -19,34 +22,75 @@ const OWED: Duration = Duration::from_secs(10);
 /// Longest time that a run may take: beyond it something hangs.
 const HANG: Duration = Duration::from_secs(60);
 
+/// The argument that makes [`listen`] of the soak's program.
+pub const LISTENER: &str = "--listen";
+
+/// A stream: name of its actuator, number of the pass.
+type StreamName = (String, u64);
+
+/// Who is killed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Victim {
+    Diagnoser,
+    Publisher,
+    /// a third process that subscribes to telemetry and diagnoses
+    Subscriber,
+    /// of the bridge
+    Sender,
+    /// of the bridge
+    Receiver,
+}
+
+impl Victim {
+    const ALL: [Self; 5] = [
+        Self::Diagnoser,
+        Self::Publisher,
+        Self::Subscriber,
+        Self::Sender,
+        Self::Receiver,
+    ];
+}
+
 /// What a soak has seen.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Soaked {
-    pub kills_of_diagnosers: u64,
-    pub kills_of_publishers: u64,
+    pub kills: BTreeMap<Victim, u64>,
+    /// of the diagnoser's: at the moment when its final diagnosis was heard of
+    pub kills_on_hearing: u64,
     pub runs: u64,
-    /// runs during which nothing was killed
+    /// of them over the bridge
+    pub bridged: u64,
+    /// runs that no kill touched (that of a subscriber touches none)
     pub untouched: u64,
-    /// those of them that were located exactly as offline
+    /// those of them that were located once, exactly as offline
     pub exact: u64,
-    /// located diagnoses that are not the offline one
+    /// located diagnoses that are not the offline one, heard or logged
     pub wrong: u64,
     /// runs that a kill touched and that were located, exactly, all the same
     pub saved: u64,
     pub located: u64,
     pub incomplete: u64,
     pub other: u64,
+    /// final diagnoses that were heard by a subscriber that lived through all
+    pub heard: u64,
+    /// that were printed
+    pub shown: u64,
+    pub logged: u64,
+    /// heard or printed, and not in the log
+    pub lost: Vec<String>,
+    /// streams with two final diagnoses, heard or logged
+    pub doubled: Vec<String>,
     /// what hung
     pub hangs: Vec<String>,
     /// publishers that ended with a failure though nothing was killed
     pub failures: Vec<String>,
-    /// shared memory left after the last restart
+    /// shared memory and files left after the last end
     pub leaks: Vec<String>,
 }
 
 impl Soaked {
     pub fn kills(&self) -> u64 {
-        self.kills_of_diagnosers + self.kills_of_publishers
+        self.kills.values().sum()
     }
 
     /// What is not as it should be, in words.
@@ -58,11 +102,14 @@ impl Soaked {
             }
         };
         no(self.wrong > 0, format!("{} wrong diagnoses", self.wrong));
-        no(!self.hangs.is_empty(), format!("hangs: {:?}", self.hangs));
-        no(
-            !self.leaks.is_empty(),
-            format!("left in shared memory: {:?}", self.leaks),
-        );
+        for (what, list) in [
+            ("hangs", &self.hangs),
+            ("reported and not in the log", &self.lost),
+            ("two final diagnoses", &self.doubled),
+            ("left", &self.leaks),
+        ] {
+            no(!list.is_empty(), format!("{what}: {list:?}"));
+        }
         let share = self.exact as f64 / self.untouched.max(1) as f64;
         no(
             self.untouched == 0 || share < 0.99,
@@ -79,45 +126,128 @@ impl Soaked {
 pub struct Soak<'a> {
     /// the program `ema`
     pub ema: &'a Path,
+    /// a program that is [`listen`] when its first argument is [`LISTENER`]
+    pub listener: &'a Path,
     pub cache: &'a Path,
+    /// where the log goes, `.jsonl` or `.parquet`, in a folder of its own
+    pub log: &'a Path,
     /// a recording, and what `ema diagnose --json` says of it
     pub file: &'a Path,
     pub offline: &'a Value,
 }
 
+/// A subscriber of another hand: reads telemetry, answers, reads diagnoses, for ever.
+pub fn listen() {
+    let domain = schemas::stream::Domain::from_environment().unwrap();
+    let telemetry = Subscriber::open(&domain).unwrap();
+    let mut diagnoses = DiagnosisSubscriber::open(&domain, 0).unwrap();
+    let mut frames = BTreeMap::new();
+    println!("listening");
+    loop {
+        while let Ok(Some(f)) = telemetry.receive() {
+            let h = *f.header();
+            match h.kind {
+                BEGIN => drop(telemetry.answer(&h, 0)),
+                END => drop(telemetry.answer(&h, frames.remove(&h.stream).unwrap_or(0))),
+                _ => *frames.entry(h.stream).or_insert(0) += u64::from(f.view().is_ok()),
+            }
+        }
+        let _ = diagnoses.next(Duration::ZERO);
+        let _ = telemetry.wait(Duration::from_millis(20));
+    }
+}
+
+/// The processes: `near` publishes over the bridge to `far`, where the diagnoser and the subscriber are.
 struct State<'a> {
     soak: &'a Soak<'a>,
-    domain: TestDomain,
+    near: TestDomain,
+    far: TestDomain,
+    address: String,
+    live: Program,
+    subscriber: Program,
+    sender: Program,
+    receiver: Program,
     diagnoses: DiagnosisSubscriber,
     /// runs located exactly as offline
     exact: BTreeMap<u64, u64>,
+    /// final diagnoses, how often heard
+    heard: BTreeMap<StreamName, u64>,
+    shown: Vec<StreamName>,
     seen: Soaked,
 }
 
-impl State<'_> {
-    fn program(&self, args: &[&str]) -> Program {
-        let mut c = Command::new(self.soak.ema);
-        c.env("EMA_CACHE_DIR", self.soak.cache)
-            .env("EMA_DOMAIN", &self.domain.name)
-            .args(args);
-        Program::start(c)
+fn program(soak: &Soak<'_>, domain: &TestDomain, args: &[&str]) -> Program {
+    let mut c = Command::new(soak.ema);
+    c.env("EMA_CACHE_DIR", soak.cache)
+        .env("EMA_DOMAIN", &domain.name)
+        .args(args);
+    Program::start(c)
+}
+
+fn live(soak: &Soak<'_>, domain: &TestDomain) -> Program {
+    let log = soak.log.to_str().unwrap();
+    program(soak, domain, &["live", "--json", "--timeout", "5", "--log", log])
+}
+
+fn subscriber(soak: &Soak<'_>, domain: &TestDomain) -> Program {
+    let mut c = Command::new(soak.listener);
+    c.env("EMA_DOMAIN", &domain.name).arg(LISTENER);
+    Program::start(c)
+}
+
+fn receiver(soak: &Soak<'_>, domain: &TestDomain, address: &str) -> Program {
+    let args = ["bridge", "receive", "--listen", address, "--wait", "20"];
+    program(soak, domain, &args)
+}
+
+fn sender(soak: &Soak<'_>, domain: &TestDomain, address: &str) -> Program {
+    program(soak, domain, &["bridge", "send", "--to", address])
+}
+
+impl<'a> State<'a> {
+    fn new(soak: &'a Soak<'a>) -> Self {
+        let (near, far) = (TestDomain::default(), TestDomain::default());
+        let diagnoses = DiagnosisSubscriber::open(&far.open(), 0).unwrap();
+        let mut receiver = receiver(soak, &far, "127.0.0.1:0");
+        receiver.until("listening", HANG, |p| p.errors().contains("listening on"));
+        let said = receiver.errors();
+        let address = said.lines().last().and_then(|l| l.rsplit(' ').next());
+        let address = address.expect("an address").to_string();
+        Self {
+            live: live(soak, &far),
+            subscriber: subscriber(soak, &far),
+            sender: sender(soak, &near, &address),
+            receiver,
+            diagnoses,
+            exact: BTreeMap::new(),
+            heard: BTreeMap::new(),
+            shown: Vec::new(),
+            seen: Soaked::default(),
+            soak,
+            near,
+            far,
+            address,
+        }
     }
 
-    /// Reads the diagnoses that came within `time`.
-    fn listen(&mut self, time: Duration) {
+    /// Takes what came within `time`; the run of the last final diagnosis.
+    fn listen(&mut self, time: Duration) -> Option<u64> {
         let end = Instant::now() + time;
+        let mut last = None;
         loop {
             let left = end.saturating_duration_since(Instant::now());
             // a diagnoser that was killed while it sent is no fault of ours
             let Ok(Some(m)) = self.diagnoses.next(left) else {
                 if left.is_zero() {
-                    return;
+                    return last;
                 }
                 continue;
             };
             if m.is_final == 0 {
                 continue;
             }
+            last = Some(m.run);
+            *self.heard.entry((from_text(&m.actuator), m.stream)).or_default() += 1;
             match m.outcome {
                 1 => {
                     self.seen.located += 1;
@@ -130,8 +260,150 @@ impl State<'_> {
                 4 => self.seen.incomplete += 1,
                 _ => self.seen.other += 1,
             }
+            if left.is_zero() {
+                return last;
+            }
         }
     }
+
+    /// What the diagnoser has printed up to its end.
+    fn read_live(&mut self) {
+        for line in self.live.all_lines() {
+            let Ok(v) = serde_json::from_str::<Value>(&line) else {
+                // torn by the kill
+                continue;
+            };
+            if v["final"] == true {
+                self.shown.push(stream_of(&v));
+            }
+        }
+    }
+
+    fn kill(&mut self, victim: Victim, replay: &mut Program) -> bool {
+        if victim == Victim::Publisher && replay.has_ended().is_some() {
+            return false;
+        }
+        *self.seen.kills.entry(victim).or_default() += 1;
+        match victim {
+            Victim::Publisher => replay.kill(),
+            Victim::Diagnoser => {
+                self.live.kill();
+                self.read_live();
+            }
+            Victim::Subscriber => self.subscriber.kill(),
+            Victim::Sender => self.sender.kill(),
+            Victim::Receiver => self.receiver.kill(),
+        }
+        true
+    }
+
+    fn start_again(&mut self, victim: Victim) {
+        match victim {
+            Victim::Publisher => {}
+            Victim::Diagnoser => self.live = live(self.soak, &self.far),
+            Victim::Subscriber => self.subscriber = subscriber(self.soak, &self.far),
+            Victim::Sender => self.sender = sender(self.soak, &self.near, &self.address),
+            Victim::Receiver => self.receiver = receiver(self.soak, &self.far, &self.address),
+        }
+    }
+
+    /// Programs that have ended though nobody killed them are started again, and named.
+    fn look_after(&mut self) -> bool {
+        let mut ended = Vec::new();
+        for (victim, p) in [
+            (Victim::Diagnoser, &mut self.live),
+            (Victim::Subscriber, &mut self.subscriber),
+            (Victim::Sender, &mut self.sender),
+            (Victim::Receiver, &mut self.receiver),
+        ] {
+            if let Some(status) = p.has_ended() {
+                ended.push((victim, format!("{victim:?} ended by itself ({status}): {}", p.errors())));
+            }
+        }
+        let any = !ended.is_empty();
+        for (victim, said) in ended {
+            if victim == Victim::Diagnoser {
+                self.read_live();
+            }
+            self.seen.hangs.push(said);
+            self.start_again(victim);
+        }
+        any
+    }
+
+    /// What the log says, against what was heard and printed.
+    fn compare(&mut self, logged: &[Value]) {
+        let mut rows: BTreeMap<StreamName, u64> = BTreeMap::new();
+        for v in logged {
+            *rows.entry(stream_of(v)).or_default() += 1;
+            self.seen.wrong += u64::from(v["outcome"] == "located" && !is_logged_offline(v, self.soak.offline));
+        }
+        let seen = &mut self.seen;
+        seen.heard = self.heard.values().sum();
+        seen.shown = self.shown.len() as u64;
+        seen.logged = logged.len() as u64;
+        for (how, list) in [
+            ("heard", self.heard.keys().collect::<Vec<_>>()),
+            ("printed", self.shown.iter().collect()),
+        ] {
+            let lost = list.into_iter().filter(|s| !rows.contains_key(s));
+            seen.lost.extend(lost.map(|s| format!("{how}: {} {:016x}", s.0, s.1)));
+        }
+        for (how, counts) in [("heard", &self.heard), ("logged", &rows)] {
+            let twice = counts.iter().filter(|(_, n)| **n > 1);
+            seen.doubled
+                .extend(twice.map(|(s, n)| format!("{how} {n} times: {} {:016x}", s.0, s.1)));
+        }
+    }
+}
+
+fn stream_of(v: &Value) -> StreamName {
+    let text = |key: &str| v[key].as_str().unwrap_or_default();
+    let stream = u64::from_str_radix(text("stream"), 16).unwrap_or_default();
+    (text("actuator").into(), stream)
+}
+
+/// The rows of a log, keys as in its lines.
+///
+/// # Panics
+/// A log that cannot be read.
+pub fn logged(log: &Path) -> Vec<Value> {
+    if log.extension().is_some_and(|x| x == "jsonl") {
+        let text = std::fs::read_to_string(log).unwrap();
+        return text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    }
+    use arrow::array::{Array, AsArray};
+    use arrow::datatypes::{Float64Type, UInt64Type};
+    let mut rows = Vec::new();
+    for batch in schemas::recording::read_batches(log).unwrap() {
+        let text = |n: &str, i: usize| batch[n].as_string::<i32>().value(i).to_string();
+        let whole = |n: &str, i: usize| batch[n].as_primitive::<UInt64Type>().value(i);
+        let number = |n: &str, i: usize| {
+            let c = batch[n].as_primitive::<Float64Type>();
+            c.is_valid(i).then(|| c.value(i))
+        };
+        for i in 0..batch.num_rows() {
+            let interval = |f: &str| {
+                let of = |part: &str| number(&format!("{f}_{part}"), i);
+                serde_json::json!({"lo": of("lo"), "hi": of("hi"), "estimate": of("estimate")})
+            };
+            rows.push(serde_json::json!({
+                "actuator": text("actuator", i),
+                "stream": format!("{:016x}", whole("stream", i)),
+                "run": whole("run", i),
+                "outcome": text("outcome", i),
+                "fsj": interval("fsj"),
+                "zeta": interval("zeta"),
+                "area": number("area", i),
+            }));
+        }
+    }
+    rows
+}
+
+/// Whether a row of the log has every number of the offline diagnosis.
+fn is_logged_offline(row: &Value, offline: &Value) -> bool {
+    ["fsj", "zeta", "area"].iter().all(|k| row[k] == offline[k])
 }
 
 /// Whether every number is that of the offline diagnosis.
@@ -149,91 +421,23 @@ fn is_offline(m: &DiagnosisMessage, v: &Value) -> bool {
     pairs.iter().all(|(a, b)| b.as_f64() == Some(*a)) && Feature::TOLD.into_iter().all(features)
 }
 
+/// When somebody is killed.
+enum Moment {
+    After(Duration),
+    /// the diagnoser, as soon as its final diagnosis of the run is heard of
+    OnHearing,
+}
+
 /// Kills until there have been `kills`; `tell` hears of the progress.
 pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked)) -> Soaked {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let domain = TestDomain::default();
-    let diagnoses = DiagnosisSubscriber::open(&domain.open(), 0).unwrap();
-    let mut s = State {
-        soak,
-        domain,
-        diagnoses,
-        exact: BTreeMap::new(),
-        seen: Soaked::default(),
-    };
-    let file = soak.file.to_str().unwrap();
-    let live_args = ["live", "--json", "--timeout", "5"];
-    let mut live = s.program(&live_args);
+    let mut s = State::new(soak);
     let mut untouched = Vec::new();
     let mut touched_runs = Vec::new();
     let mut run = 0;
     while s.seen.kills() < kills {
         run += 1;
-        let number = run.to_string();
-        let speed = ["max", "max", "40", "15"][rng.random_range(0..4)];
-        let frame = ["1", "5", "10", "50"][rng.random_range(0..4)];
-        let args = [
-            "replay",
-            file,
-            "--speed",
-            speed,
-            "--frame-ms",
-            frame,
-            "--run",
-            &number,
-            "--wait",
-            "20",
-        ];
-        let mut replay = s.program(&args);
-        let start = Instant::now();
-        let mut touched = false;
-        // who is killed during this run, and when
-        let plan = rng.random_range(0..4);
-        // while the programs start, or later
-        let longest = [30_000, 400_000][rng.random_range(0..2)];
-        let moment = Duration::from_micros(rng.random_range(0..longest));
-        let mut pending = plan > 0;
-        loop {
-            s.listen(Duration::from_millis(2));
-            if pending && start.elapsed() >= moment {
-                pending = false;
-                touched = true;
-                if plan != 2 {
-                    live.kill();
-                    s.seen.kills_of_diagnosers += 1;
-                }
-                if plan != 1 && replay.has_ended().is_none() {
-                    replay.kill();
-                    s.seen.kills_of_publishers += 1;
-                }
-                if plan != 2 {
-                    // sometimes there is nobody for a while
-                    s.listen(Duration::from_millis(rng.random_range(0..100)));
-                    live = s.program(&live_args);
-                }
-            }
-            if let Some(status) = replay.has_ended() {
-                if !touched && status.code() != Some(0) {
-                    s.seen.failures.push(format!("run {run}: {}", replay.errors()));
-                }
-                break;
-            }
-            if start.elapsed() > HANG {
-                let said = format!("run {run}: {} / {}", replay.errors(), live.errors());
-                s.seen.hangs.push(said);
-                replay.kill();
-                live.kill();
-                live = s.program(&live_args);
-                touched = true;
-                break;
-            }
-            if let Some(status) = live.has_ended() {
-                let said = format!("diagnoser ended by itself ({status}): {}", live.errors());
-                s.seen.hangs.push(said);
-                live = s.program(&live_args);
-                touched = true;
-            }
-        }
+        let touched = one_run(&mut s, run, &mut rng);
         s.seen.runs += 1;
         if touched {
             touched_runs.push(run);
@@ -251,25 +455,144 @@ pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked
     s.seen.untouched = untouched.len() as u64;
     s.seen.exact = untouched.iter().filter(|r| s.exact.get(r) == Some(&1)).count() as u64;
     s.seen.saved = touched_runs.iter().filter(|r| s.exact.contains_key(r)).count() as u64;
-    // the last restart, and a proper end of everybody
-    live.kill();
-    let mut last = s.program(&live_args);
-    let number = (run + 1).to_string();
-    let mut replay = s.program(&["replay", file, "--speed", "max", "--run", &number]);
+    end(s, run + 1)
+}
+
+/// Replays the recording once, here or over the bridge, and perhaps kills; whether that touched the run.
+fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> bool {
+    let number = run.to_string();
+    let speed = ["max", "max", "40", "15"][rng.random_range(0..4)];
+    let frame = ["1", "5", "10", "50"][rng.random_range(0..4)];
+    let is_bridged = rng.random_bool(0.5);
+    s.seen.bridged += u64::from(is_bridged);
+    let domain = if is_bridged { &s.near } else { &s.far };
+    let file = s.soak.file.to_str().unwrap();
+    let args = [
+        "replay",
+        file,
+        "--speed",
+        speed,
+        "--frame-ms",
+        frame,
+        "--run",
+        &number,
+        "--wait",
+        "20",
+    ];
+    let mut replay = program(s.soak, domain, &args);
+    let start = Instant::now();
+    let mut touched = false;
+    // who is killed during this run (half of the time nobody), and when: while the programs start, or later
+    let mut victims = Vec::new();
+    if rng.random_bool(0.5) {
+        victims.push(Victim::ALL[rng.random_range(0..Victim::ALL.len())]);
+        if rng.random_bool(0.2) {
+            victims.push(Victim::ALL[rng.random_range(0..Victim::ALL.len())]);
+        }
+        victims.sort();
+        victims.dedup();
+    }
+    let longest = [30_000, 400_000][rng.random_range(0..2)];
+    let mut moment = Some(Moment::After(Duration::from_micros(rng.random_range(0..longest))));
+    if victims.contains(&Victim::Diagnoser) && rng.random_bool(0.5) {
+        moment = Some(Moment::OnHearing);
+    }
+    moment = moment.filter(|_| !victims.is_empty());
+    loop {
+        let heard = s.listen(Duration::from_millis(2));
+        let now = match &moment {
+            Some(Moment::After(t)) => start.elapsed() >= *t,
+            Some(Moment::OnHearing) => heard == Some(run),
+            None => false,
+        };
+        if now {
+            s.seen.kills_on_hearing += u64::from(matches!(moment, Some(Moment::OnHearing)));
+            moment = None;
+            for v in &victims {
+                // nobody waits for a subscriber that is dead, and its death is no excuse
+                touched |= s.kill(*v, &mut replay) && *v != Victim::Subscriber;
+            }
+            // sometimes there is nobody for a while
+            s.listen(Duration::from_millis(rng.random_range(0..100)));
+            victims.iter().for_each(|v| s.start_again(*v));
+        }
+        if let Some(status) = replay.has_ended() {
+            // on hearing: the moment has not come yet
+            if matches!(moment, Some(Moment::OnHearing)) && start.elapsed() < OWED && status.code() == Some(0) {
+                continue;
+            }
+            if !touched && status.code() != Some(0) {
+                s.seen.failures.push(format!("run {run}: {}", replay.errors()));
+            }
+            return touched;
+        }
+        if start.elapsed() > HANG {
+            let said = format!("run {run}: {} / {}", replay.errors(), s.live.errors());
+            s.seen.hangs.push(said);
+            replay.kill();
+            s.live.kill();
+            s.read_live();
+            s.start_again(Victim::Diagnoser);
+            return true;
+        }
+        touched |= s.look_after();
+    }
+}
+
+/// The last restart, a run in peace, and a proper end of everybody.
+fn end(mut s: State<'_>, run: u64) -> Soaked {
+    s.live.kill();
+    s.read_live();
+    s.start_again(Victim::Diagnoser);
+    let (number, file) = (run.to_string(), s.soak.file.to_str().unwrap());
+    let mut replay = program(s.soak, &s.far, &["replay", file, "--speed", "max", "--run", &number]);
     if replay.ends_within(HANG).is_none() {
         s.seen.hangs.push("the run after the last restart".into());
     }
-    last.interrupt();
-    if last.ends_within(HANG).is_none() {
-        s.seen.hangs.push("the diagnoser does not stop".into());
+    s.listen(Duration::from_millis(300));
+    s.subscriber.kill();
+    for (what, p) in [
+        ("sender", &mut s.sender),
+        ("receiver", &mut s.receiver),
+        ("diagnoser", &mut s.live),
+    ] {
+        p.interrupt();
+        if p.ends_within(HANG).is_none() {
+            s.seen.hangs.push(format!("the {what} does not stop"));
+        }
     }
+    s.read_live();
+    s.listen(Duration::from_millis(50));
+    let rows = logged(s.soak.log);
+    s.compare(&rows);
+    // what the killed subscriber left is removed by whoever comes next
+    s.far.open().clean();
     let State {
-        domain,
+        near,
+        far,
         diagnoses,
         mut seen,
+        soak,
         ..
     } = s;
     drop(diagnoses);
-    seen.leaks = domain.segments().iter().map(|p| p.display().to_string()).collect();
+    let mut left: Vec<PathBuf> = near.segments();
+    left.extend(far.segments());
+    left.extend(beside(soak.log));
+    seen.leaks = left.iter().map(|p| p.display().to_string()).collect();
     seen
+}
+
+/// What lies beside a log and is not documented: of a table its lock and its journal stay.
+fn beside(log: &Path) -> Vec<PathBuf> {
+    let name = log.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let documented = [name.clone(), format!(".{name}.lock"), format!(".{name}.journal")];
+    let entries = std::fs::read_dir(log.parent().unwrap()).into_iter().flatten().flatten();
+    let all = entries.map(|e| e.path());
+    all.filter(|p| {
+        !documented
+            .iter()
+            .any(|d| p.file_name().is_some_and(|n| n.to_string_lossy() == *d))
+    })
+    .collect()
 }

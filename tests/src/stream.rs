@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// A domain of shared memory for one test alone; what is left of it at the end is removed.
@@ -75,17 +76,18 @@ pub struct Program {
     child: Child,
     lines: Arc<Mutex<Vec<String>>>,
     errors: Arc<Mutex<Vec<String>>>,
+    reading: Option<JoinHandle<()>>,
 }
 
-fn read_lines(from: impl Read + Send + 'static) -> Arc<Mutex<Vec<String>>> {
+fn read_lines(from: impl Read + Send + 'static) -> (Arc<Mutex<Vec<String>>>, JoinHandle<()>) {
     let lines: Arc<Mutex<Vec<String>>> = Arc::default();
     let to = lines.clone();
-    std::thread::spawn(move || {
+    let thread = std::thread::spawn(move || {
         for line in BufReader::new(from).lines().map_while(Result::ok) {
             to.lock().unwrap().push(line);
         }
     });
-    lines
+    (lines, thread)
 }
 
 impl Program {
@@ -97,9 +99,15 @@ impl Program {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        let lines = read_lines(child.stdout.take().unwrap());
-        let errors = read_lines(child.stderr.take().unwrap());
-        Self { child, lines, errors }
+        let (lines, reading) = read_lines(child.stdout.take().unwrap());
+        let (errors, _) = read_lines(child.stderr.take().unwrap());
+        let reading = Some(reading);
+        Self {
+            child,
+            lines,
+            errors,
+            reading,
+        }
     }
 
     pub fn id(&self) -> u32 {
@@ -110,6 +118,14 @@ impl Program {
         self.lines.lock().unwrap().clone()
     }
 
+    /// All lines of a program that has ended.
+    pub fn all_lines(&mut self) -> Vec<String> {
+        if let Some(thread) = self.reading.take() {
+            let _ = thread.join();
+        }
+        self.lines()
+    }
+
     /// Lines of `--json`.
     pub fn json(&self) -> Vec<Value> {
         let lines = self.lines();
@@ -118,6 +134,11 @@ impl Program {
 
     pub fn errors(&self) -> String {
         self.errors.lock().unwrap().join("\n")
+    }
+
+    /// Lines of [`Program::errors`], without the first ones.
+    pub fn errors_after(&self, lines: usize) -> Vec<String> {
+        self.errors.lock().unwrap().iter().skip(lines).cloned().collect()
     }
 
     /// Waits until `done` says so; what the program has said when it did not.

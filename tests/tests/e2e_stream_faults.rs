@@ -352,15 +352,22 @@ fn e2e_killed_while_starting_leaves_nothing_in_the_way() {
 #[test]
 fn e2e_soak_of_a_few_kills() {
     let (file, offline) = recording();
-    let soak = ema_tests::soak::Soak {
-        ema: Path::new(env!("CARGO_BIN_EXE_ema-under-test")),
-        cache: &cache(),
-        file,
-        offline,
-    };
-    let seen = ema_tests::soak::soak(&soak, 12, 7, |_| ());
-    println!("{seen:?}");
-    assert_eq!(seen.faults(), Vec::<String>::new());
+    let dir = tempfile::tempdir().unwrap();
+    for (name, kills) in [("log.jsonl", 8), ("log.parquet", 6)] {
+        let log = dir.path().join(format!("of-{name}")).join(name);
+        std::fs::create_dir_all(log.parent().unwrap()).unwrap();
+        let soak = ema_tests::soak::Soak {
+            ema: Path::new(env!("CARGO_BIN_EXE_ema-under-test")),
+            listener: Path::new(env!("CARGO_BIN_EXE_soak")),
+            cache: &cache(),
+            log: &log,
+            file,
+            offline,
+        };
+        let seen = ema_tests::soak::soak(&soak, kills, 7, |_| ());
+        println!("{seen:?}");
+        assert_eq!(seen.faults(), Vec::<String>::new());
+    }
 }
 
 /// A subscriber that answers everything, and calls itself a diagnoser without ever giving a diagnosis.

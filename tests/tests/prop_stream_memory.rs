@@ -1,23 +1,33 @@
 //! Frames are written and read in shared memory itself, and nothing is allocated for a frame on
 //! either side beyond the handle of fixed size that iceoryx2 0.10 itself allocates for each loan
-//! (shown on a bare port in the same test). Alone in its program, since it counts what the program
-//! allocates.
+//! (shown on a bare port in the same test). Over an hour of streams the diagnosing core allocates nothing for a frame, a bounded amount
+//! for a diagnosis, and holds no more at the end than at the beginning. Alone in their program, one after the other, since they count
+//! what the program allocates.
 
+use diagnoser::diagnosis::{Diagnoser, Outcome};
+use diagnoser::failure_map::FailureMapSet;
 use diagnoser::live::{Known, Live};
-use ema_tests::reference_run;
+use diagnoser::report::to_message;
 use ema_tests::stream::TestDomain;
+use ema_tests::{reference_run, reference_runs};
 use schemas::channel::Channel;
-use schemas::stream::frame::RunDescription;
+use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription, SAMPLES};
 use schemas::stream::publisher::{Delivery, Publisher};
 use schemas::stream::subscriber::Subscriber;
 use sim_worker::parameters::ActuatorParameters;
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::path::Path;
+use std::process::Command;
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
 static BYTES: AtomicU64 = AtomicU64::new(0);
+static HELD: AtomicI64 = AtomicI64::new(0);
+
+/// Held by the test that counts.
+static ALONE: Mutex<()> = Mutex::new(());
 
 /// Allocations and bytes so far.
 fn allocated() -> (u64, u64) {
@@ -55,14 +65,17 @@ unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
         BYTES.fetch_add(layout.size() as u64, Ordering::Relaxed);
+        HELD.fetch_add(layout.size() as i64, Ordering::Relaxed);
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, p: *mut u8, layout: Layout) {
+        HELD.fetch_sub(layout.size() as i64, Ordering::Relaxed);
         unsafe { System.dealloc(p, layout) }
     }
     unsafe fn realloc(&self, p: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
         BYTES.fetch_add(size as u64, Ordering::Relaxed);
+        HELD.fetch_add(size as i64 - layout.size() as i64, Ordering::Relaxed);
         unsafe { System.realloc(p, layout, size) }
     }
 }
@@ -84,6 +97,7 @@ fn mapped_file(address: usize) -> String {
 
 #[test]
 fn prop_no_copy_and_no_allocation_per_frame() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let domain = TestDomain::default();
     let telemetry = reference_run(2.0, 0.2, "preflight", 10_000.0);
     let actuator = Arc::new(ActuatorParameters::reference());
@@ -160,4 +174,136 @@ fn prop_no_copy_and_no_allocation_per_frame() {
         publisher.publish(&mut pass, frame).unwrap();
     }
     assert_eq!(array.values()[95], first);
+}
+
+/// Maps of the reference actuator without sensors at 10 kHz.
+fn maps() -> Diagnoser {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    let data = data.to_str().unwrap();
+    for args in [
+        &["simulate", "--grid", "standard", "--keep", "features", "--out", data][..],
+        &["maps", data],
+    ] {
+        let done = Command::new(env!("CARGO_BIN_EXE_ema-under-test"))
+            .args(args)
+            .output()
+            .unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    }
+    Diagnoser::uncalibrated(FailureMapSet::load(&Path::new(data).join("maps.parquet")).unwrap())
+}
+
+/// Tests of 3 s, and actuators that they come from in turn.
+const HOUR: u64 = 1200;
+const ACTUATORS: usize = 6;
+/// Tests after which all that is remembered has been filled.
+const FILLED: u64 = 100;
+/// What a diagnosis may take, and all of them together may still hold in the end [bytes].
+const ROOM: u64 = 4 << 20;
+const STAYS: i64 = 4 * 1024;
+
+#[test]
+fn prop_an_hour_of_streams_allocates_nothing_for_a_frame() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let maps = Arc::new(maps());
+    let recordings = reference_runs(&[(2.0, 0.2), (3.3, 0.11), (1.4, 0.4)], "preflight", 10_000.0);
+    let actuator = Arc::new(ActuatorParameters::reference());
+    let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
+    // frames of 10 ms, made before anything is counted
+    let frames = |r: &schemas::telemetry::Collector, name: &str| -> Vec<(FrameHeader, Vec<f64>)> {
+        let about = RunDescription {
+            actuator: name.into(),
+            parameters: actuator.fingerprint(),
+            sensors: "none".into(),
+            sequence: sequence.fingerprint(),
+            run: 1,
+            rate_hz: 10_000.0,
+            channels: r.header.as_ref().unwrap().channels,
+            total_rows: 30_000,
+            load_n_m: 0.0,
+        };
+        let header = |kind: u32, frame: u64| FrameHeader {
+            kind,
+            frame,
+            ..about.header()
+        };
+        let mut list = vec![(header(BEGIN, 0), Vec::new())];
+        for k in 0..300 {
+            let block = r.view().slice(k * 100, (k + 1) * 100);
+            let mut h = header(SAMPLES, k as u64 + 1);
+            h.set_rows(block.first, block.rows);
+            let mut values = vec![0.0; h.values()];
+            h.view_mut(&mut values).copy_from(&block);
+            list.push((h, values));
+        }
+        list.push((header(END, 301), Vec::new()));
+        list
+    };
+    let names: Vec<String> = (0..ACTUATORS).map(|k| format!("actuator-{k}")).collect();
+    let tests: Vec<Vec<_>> = (0..ACTUATORS)
+        .map(|k| frames(&recordings[k % recordings.len()], &names[k]))
+        .collect();
+    let mut live = Live::new(Known {
+        actuators: vec![actuator.clone()],
+        sequences: vec![sequence.clone()],
+        sensors: vec!["none".into()],
+    });
+    let (mut now, mut located, mut finals) = (0, 0, 0);
+    let (mut frames, mut allocating) = (0u64, 0u64);
+    let (mut most_of_begin, mut most_of_diagnosis, mut held) = ((0, 0), (0, 0), 0);
+    for test in 0..HOUR {
+        if test == FILLED {
+            held = HELD.load(Ordering::Relaxed);
+        }
+        for (header, payload) in &tests[test as usize % ACTUATORS] {
+            now += 10_000_000;
+            let h = FrameHeader {
+                stream: test + 1,
+                run: test,
+                publish_ns: now,
+                ..*header
+            };
+            let before = allocated();
+            live.frame(&h, payload, 1, &|_| true, now);
+            let took = since(before);
+            if test >= FILLED && h.kind == BEGIN {
+                most_of_begin = (most_of_begin.0.max(took.0), most_of_begin.1.max(took.1));
+            } else if test >= FILLED {
+                frames += 1;
+                allocating += u64::from(took != (0, 0));
+            }
+            let wishes: Vec<_> = live.wishes().collect();
+            for key in &wishes {
+                assert!(key.is_served_by(&maps.maps.header));
+                live.maps(key, Ok(maps.clone()));
+            }
+            loop {
+                let before = allocated();
+                let done = live.work();
+                for report in live.reports() {
+                    let message = to_message(&report);
+                    finals += u64::from(message.is_final);
+                    located += u64::from(report.is_final && matches!(report.diagnosis.outcome, Outcome::Located(_)));
+                }
+                if !done {
+                    break;
+                }
+                let took = since(before);
+                if test >= FILLED {
+                    most_of_diagnosis = (most_of_diagnosis.0.max(took.0), most_of_diagnosis.1.max(took.1));
+                }
+            }
+        }
+    }
+    let grown = HELD.load(Ordering::Relaxed) - held;
+    println!(
+        "{frames} frames, {allocating} of them allocate; a beginning {most_of_begin:?}, a diagnosis {most_of_diagnosis:?} at most \
+         (allocations, bytes); held after {HOUR} tests {grown} bytes more than after {FILLED}"
+    );
+    assert_eq!((finals, located), (HOUR, HOUR));
+    // the frame by which the rest angle is known names the maps
+    assert!(allocating <= HOUR - FILLED, "{allocating} of {frames}");
+    assert!(most_of_begin.1 < ROOM && most_of_diagnosis.1 < ROOM);
+    assert!(grown.abs() < STAYS, "{grown}");
 }

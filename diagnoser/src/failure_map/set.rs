@@ -2,11 +2,11 @@
 
 use super::{FailureMap, MapBudget};
 use crate::uncertainty::MOST;
-use arrow::array::{ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
+use arrow::array::{Array, ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Float64Type, Schema};
 use schemas::error::{Error, Result};
 use schemas::feature::{Feature, Features, RawFeatures};
-use schemas::fingerprint::{exact, fingerprint};
+use schemas::fingerprint::{checksum, exact, fingerprint};
 use schemas::recording::{Provenance, write_table};
 use schemas::test_kind::TestKind;
 use serde::{Deserialize, Serialize};
@@ -59,6 +59,52 @@ struct Stored {
     /// direction along (FSJ, zeta) of each map; the usual one where there is none
     #[serde(default)]
     directions: BTreeMap<String, (f64, f64)>,
+    /// there is a checksum; files of earlier versions had none
+    #[serde(default)]
+    sealed: bool,
+}
+
+/// Metadata key of the checksum.
+const CHECKSUM: &str = "ema.maps_checksum";
+
+/// The columns of a table of maps.
+struct Columns<'a> {
+    names: &'a StringArray,
+    /// fsj, zeta, value, raw_value
+    numbers: [&'a Float64Array; 4],
+}
+
+impl<'a> Columns<'a> {
+    /// # Errors
+    /// The name of a column that is missing or of another type.
+    fn of(batch: &'a RecordBatch) -> std::result::Result<Self, &'static str> {
+        let names = batch.column_by_name("feature").and_then(|c| c.as_string_opt());
+        let names = names.filter(|n| n.null_count() == 0).ok_or("feature")?;
+        let number = |n: &'static str| {
+            let column = batch
+                .column_by_name(n)
+                .and_then(|c| c.as_primitive_opt::<Float64Type>());
+            column.filter(|c| c.null_count() == 0).ok_or(n)
+        };
+        let numbers = [number("fsj")?, number("zeta")?, number("value")?, number("raw_value")?];
+        Ok(Self { names, numbers })
+    }
+
+    fn row(&self, i: usize) -> [f64; 4] {
+        self.numbers.map(|c| c.value(i))
+    }
+}
+
+/// Of what is said of the maps, and of every bit of their rows.
+fn checksum_of<'a>(text: &str, tables: impl IntoIterator<Item = &'a Columns<'a>>) -> String {
+    let mut bytes = text.as_bytes().to_vec();
+    for t in tables {
+        for i in 0..t.names.len() {
+            bytes.extend(t.names.value(i).as_bytes());
+            bytes.extend(t.row(i).iter().flat_map(|x| x.to_bits().to_le_bytes()));
+        }
+    }
+    checksum(&bytes)
 }
 
 impl FailureMapSet {
@@ -161,17 +207,21 @@ impl FailureMapSet {
                 .iter()
                 .map(|m| (m.feature.name().to_string(), m.direction))
                 .collect(),
+            sealed: true,
         };
         let mut pairs = provenance.pairs();
-        pairs.push(("ema.maps".into(), serde_json::to_string(&stored).expect("plain data")));
+        let text = serde_json::to_string(&stored).expect("plain data");
         let batch = RecordBatch::try_new(schema, columns).map_err(|e| Error::torn(path, e))?;
+        let table = Columns::of(&batch).expect("as they were just made");
+        pairs.push((CHECKSUM.into(), checksum_of(&text, [&table])));
+        pairs.push(("ema.maps".into(), text));
         write_table(path, &batch, pairs)
     }
 
     /// Loads a saved set; what the maps become is worked out anew from the simulated values.
     ///
     /// # Errors
-    /// Refuses another schema version, torn files, incomplete grids, fewer than two maps, and what
+    /// Refuses another schema version, torn and changed files, incomplete grids, fewer than two maps, and what
     /// [`FailureMap::build`] or [`FailureMapSet::check`] refuses.
     pub fn load(path: &Path) -> Result<Self> {
         let pairs = schemas::recording::metadata(path)?;
@@ -182,36 +232,26 @@ impl FailureMapSet {
             .ok_or_else(|| Error::bad(&file, "metadata `ema.maps`", "nothing", "a file written by `ema maps`"))?;
         let stored: Stored = serde_json::from_str(text).map_err(|e| Error::torn(path, e))?;
         let mut rows: BTreeMap<Feature, Vec<[f64; 4]>> = BTreeMap::new();
-        for batch in schemas::recording::read_batches(path)? {
-            let missing = |n: &str| {
-                Error::bad(
-                    &file,
-                    "columns",
-                    format!("no `{n}` of its type"),
-                    "those of schemas/README.md",
-                )
-            };
-            let numbers = |n: &str| {
-                batch
-                    .column_by_name(n)
-                    .and_then(|c| c.as_primitive_opt::<Float64Type>())
-                    .ok_or_else(|| missing(n))
-            };
-            let names = batch.column_by_name("feature").and_then(|c| c.as_string_opt::<i32>());
-            let names = names.ok_or_else(|| missing("feature"))?;
-            let (f, z, v, r) = (
-                numbers("fsj")?,
-                numbers("zeta")?,
-                numbers("value")?,
-                numbers("raw_value")?,
-            );
-            for i in 0..batch.num_rows() {
-                let feature = Feature::from_name(names.value(i))
-                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), names.value(i), names_of_all()))?;
-                rows.entry(feature)
-                    .or_default()
-                    .push([f.value(i), z.value(i), v.value(i), r.value(i)]);
+        let batches = schemas::recording::read_batches(path)?;
+        let missing = |n| {
+            let allowed = "those of schemas/README.md";
+            Error::bad(&file, "columns", format!("no `{n}` of its type"), allowed)
+        };
+        let tables = batches.iter().map(|b| Columns::of(b).map_err(missing));
+        let tables = tables.collect::<Result<Vec<_>>>()?;
+        for table in &tables {
+            for i in 0..table.names.len() {
+                let name = table.names.value(i);
+                let feature = Feature::from_name(name)
+                    .ok_or_else(|| Error::bad(&file, format!("row {i}"), name, names_of_all()))?;
+                rows.entry(feature).or_default().push(table.row(i));
             }
+        }
+        // what a flipped bit makes of a map is a map too
+        let found = pairs.get(CHECKSUM);
+        if (stored.sealed || found.is_some()) && found != Some(&checksum_of(text, &tables)) {
+            let allowed = "that of a file as `ema maps` wrote it";
+            return Err(Error::bad(&file, "checksum", found.map_or("none", |f| f), allowed));
         }
         let (mut maps, mut witnesses) = (Vec::new(), Vec::new());
         for (feature, rows) in rows {

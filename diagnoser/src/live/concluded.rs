@@ -8,11 +8,20 @@ pub type StreamId = ([u8; 32], u64);
 /// Streams remembered; a number of a stream never comes again once its run is over.
 pub const REMEMBERED: usize = 65_536;
 
-/// The last [`REMEMBERED`] concluded streams.
-#[derive(Debug, Default)]
+/// The last [`REMEMBERED`] concluded streams, with room for all of them from the start.
+#[derive(Debug)]
 pub(super) struct Concluded {
     known: HashSet<StreamId>,
     oldest_first: VecDeque<StreamId>,
+}
+
+impl Default for Concluded {
+    fn default() -> Self {
+        Self {
+            known: HashSet::with_capacity(REMEMBERED + 1),
+            oldest_first: VecDeque::with_capacity(REMEMBERED + 1),
+        }
+    }
 }
 
 impl Concluded {

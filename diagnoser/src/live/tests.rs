@@ -144,3 +144,24 @@ fn prop_counters_saturate() {
     let status = &s.live.statuses()[0];
     assert_eq!((status.samples, status.lost), (u64::MAX, u64::MAX - 1));
 }
+
+#[test]
+fn refuse_rates_and_kinds_of_tests_that_would_take_all_memory() {
+    let mut s = Source::new();
+    let mut only = |name: &str, rate_hz: f64| {
+        let header = s.header(name, rate_hz, 1);
+        s.frame(header, BEGIN, 0);
+        s.frame(header, END, 1);
+    };
+    only("thz", 4_294_967_296_000.0);
+    only("slow", 999.0);
+    // eleven plans of three million samples, and no more
+    for k in 0..14 {
+        only(&format!("odd-{k}"), 1e6 - f64::from(k));
+    }
+    let reasons = s.reasons();
+    assert_eq!(reasons.len(), 16, "{reasons:?}");
+    let said = |words: &str| reasons.iter().filter(|r| r.contains(words)).count();
+    assert_eq!(said("allowed: 1000 to 1000000 Hz"), 2, "{reasons:?}");
+    assert_eq!(said("too many other kinds of tests"), 3, "{reasons:?}");
+}

@@ -1,6 +1,7 @@
 //! The file of a unit: the model, every test that went in, and the posterior of the constants.
 
 use super::constants::Constants;
+use crate::seal;
 use crate::uncertainty::Discrepancy;
 use schemas::error::{Error, Result, write_whole};
 use schemas::feature::{Feature, Features};
@@ -238,13 +239,13 @@ impl UnitFile {
             },
         };
         let text = serde_json::to_string_pretty(&stored).expect("plain data");
-        write_whole(path, (text + "\n").as_bytes())
+        write_whole(path, seal::sealed(&text).as_bytes())
     }
 
     /// Reads a unit file.
     ///
     /// # Errors
-    /// Refuses what cannot be read, is no unit file, or holds numbers that cannot be.
+    /// Refuses what cannot be read, is no unit file, holds numbers that cannot be, or was changed by other hands.
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
         let file = path.display().to_string();
@@ -332,6 +333,7 @@ impl UnitFile {
                 format!("{allowed}: those of its actuator and spread"),
             ));
         }
+        seal::check(path, &text, "ema unit")?;
         Ok(unit)
     }
 }

@@ -17,6 +17,7 @@ pub use file::{KindEntry, TestEntry, UnitFile};
 use crate::calibration::Calibration;
 use crate::diagnosis::{Diagnoser, Known};
 use crate::failure_map::FailureMapSet;
+use crate::seal;
 use crate::uncertainty::Discrepancy;
 use schemas::error::{Error, Result, write_whole};
 use schemas::feature::{Feature, Features};
@@ -174,7 +175,8 @@ impl UnitCalibration {
     /// # Errors
     /// Fails where the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
-        write_whole(path, serde_json::to_string(self).expect("plain data").as_bytes())
+        let text = serde_json::to_string(self).expect("plain data");
+        write_whole(path, seal::sealed(&text).as_bytes())
     }
 
     /// Reads a saved one.
@@ -183,7 +185,7 @@ impl UnitCalibration {
     /// * `prior` fingerprint of the constants
     ///
     /// # Errors
-    /// Refuses what cannot be read, is torn, or belongs to other maps or constants.
+    /// Refuses what cannot be read, is torn or changed, or belongs to other maps or constants.
     pub fn load(path: &Path, maps: &str, prior: &str) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
         let c: Self = serde_json::from_str(&text).map_err(|e| Error::torn(path, e))?;
@@ -192,6 +194,7 @@ impl UnitCalibration {
             let allowed = format!("{maps} {prior}");
             return Err(Error::bad(path.display().to_string(), "fingerprints", found, allowed));
         }
+        seal::check(path, &text, "ema diagnose --unit")?;
         Ok(c)
     }
 }

@@ -66,6 +66,18 @@ pub fn live(a: &LiveCommand) -> Result<ExitCode> {
     Ok(ExitCode::from(a.live.run(known, source, &stop)?))
 }
 
+/// What threads that make maps are nice by: diagnoses go first, on one core too.
+const NICE: i32 = 10;
+
+/// Threads for what may take its time; none where the system gives none.
+fn background() -> Option<rayon::ThreadPool> {
+    // SAFETY: takes a number, and on Linux concerns the calling thread alone
+    let nice = |_| {
+        unsafe { libc::nice(NICE) };
+    };
+    rayon::ThreadPoolBuilder::new().start_handler(nice).build().ok()
+}
+
 /// Finds maps in the cache, and makes them.
 #[derive(Clone)]
 struct Maker {
@@ -82,9 +94,14 @@ impl Maker {
             let found = maker.request(key).and_then(|r| told(maps::found(&r, &maker.choice)));
             found.transpose()
         };
+        let background = background();
         let make = move |key: &MapKey| {
             let request = self.request(key)?;
-            told(maps::cached(&request, &self.choice, &Vec::new()))
+            let make = || told(maps::cached(&request, &self.choice, &Vec::new()));
+            match &background {
+                Some(pool) => pool.install(make),
+                None => make(),
+            }
         };
         let forbidden = "making is switched off (--no-make); make them with `ema maps` and name them with --maps";
         MapSource {

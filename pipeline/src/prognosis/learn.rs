@@ -161,7 +161,7 @@ fn thinned(lives: Vec<(usize, f64, Life)>) -> Vec<(usize, f64, Life)> {
 }
 
 /// Forecasts that would have been made of a unit over its last life.
-fn past<'a, I: Iterator<Item = &'a Life>>(
+fn past<'a, I: Iterator<Item = &'a Life> + Clone>(
     u: &Unit,
     unit: usize,
     end: f64,

@@ -43,11 +43,16 @@ impl Verdict {
 /// Longest time between two looks whether a diagnoser is alive.
 const LOOK: Duration = Duration::from_millis(200);
 
+/// How long a diagnoser that came in the place of another is listened to.
+const SUCCESSION: Duration = Duration::from_secs(2);
+
 /// Listens to the final diagnoses of one stream at a time.
 pub(super) struct Jury {
     diagnoses: DiagnosisSubscriber,
     required: bool,
     stream: Option<StreamId>,
+    /// diagnosers that were there when the stream began
+    there: Vec<u128>,
     /// a diagnoser has been there since the stream began
     seen: bool,
     finals: Vec<DiagnosisMessage>,
@@ -63,6 +68,7 @@ impl Jury {
             diagnoses: DiagnosisSubscriber::open(domain, 0)?,
             required: when == Await::Required,
             stream: None,
+            there: Vec::new(),
             seen: false,
             finals: Vec::new(),
         }))
@@ -72,7 +78,8 @@ impl Jury {
     pub fn begin(&mut self, actuator: [u8; 32], stream: u64) -> Result<()> {
         self.stream = Some((actuator, stream));
         self.finals.clear();
-        self.seen = self.diagnoses.publishers() > 0;
+        self.there = self.diagnoses.publishers();
+        self.seen = !self.there.is_empty();
         self.listen(Duration::ZERO)
     }
 
@@ -112,15 +119,18 @@ impl Jury {
     pub fn verdict(&mut self, patience: Duration, go_on: &dyn Fn() -> bool) -> Result<Verdict> {
         let start = Instant::now();
         loop {
-            let alive = self.diagnoses.publishers();
+            let now = self.diagnoses.publishers();
+            let alive = now.len();
             self.seen |= alive > 0;
+            // who has come in the place of another knows nothing of the stream's beginning, and may say nothing of it
+            let is_replaced = !self.there.is_empty() && !now.iter().any(|d| self.there.contains(d));
             let left = patience.saturating_sub(start.elapsed());
             // whatever a diagnoser said before it died is here now
             self.listen(if alive > 0 { left.min(LOOK) } else { Duration::ZERO })?;
             match self.best() {
                 Some(Verdict::Incomplete(_)) if self.finals.len() < alive && !left.is_zero() && go_on() => {}
                 Some(verdict) => return Ok(verdict),
-                None if alive == 0 => return Ok(self.nobody()),
+                None if alive == 0 || (is_replaced && start.elapsed() > SUCCESSION) => return Ok(self.nobody()),
                 None if left.is_zero() || !go_on() => {
                     let s = start.elapsed().as_secs_f64();
                     return Ok(Verdict::Missing(format!("no final diagnosis within {s:.1} s")));

@@ -2,7 +2,9 @@
 
 use super::domain::{Domain, failed};
 use super::wire::{FeatureNumbers, to_text, wire};
-use super::{DIAGNOSIS, DIAGNOSIS_BUFFER, DIAGNOSIS_HISTORY, Ipc, MAX_NODES, MAX_PUBLISHERS, MAX_SUBSCRIBERS};
+use super::{
+    DIAGNOSIS, DIAGNOSIS_BUFFER, DIAGNOSIS_HISTORY, Ipc, MAX_NODES, MAX_PUBLISHERS, MAX_SUBSCRIBERS, SHORTEST_WAIT,
+};
 use crate::error::Result;
 use crate::feature::Feature;
 use iceoryx2::port::listener::ListenerWaitError;
@@ -183,10 +185,15 @@ impl DiagnosisSubscriber {
     }
 
     /// Diagnosers that are alive; what dead ones left is removed.
-    pub fn publishers(&self) -> usize {
+    pub fn publishers(&self) -> Vec<u128> {
         use iceoryx2::service::port_factory::PortFactory;
         self.domain.clean();
-        self.service.dynamic_config().number_of_publishers()
+        let mut ids = Vec::new();
+        self.service.dynamic_config().list_publishers(|p| {
+            ids.push(p.publisher_id.value());
+            CallbackProgression::Continue
+        });
+        ids
     }
 
     /// The next diagnosis, or `None` when `timeout` is over.
@@ -204,7 +211,8 @@ impl DiagnosisSubscriber {
                 return Ok(Some(*sample));
             }
             let left = end.saturating_duration_since(std::time::Instant::now());
-            if left.is_zero() {
+            // a socket's time-out has whole microseconds, and none of them means for ever
+            if left < SHORTEST_WAIT {
                 return Ok(None);
             }
             match self.listener.timed_wait(|_| (), left) {

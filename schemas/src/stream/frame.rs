@@ -107,7 +107,7 @@ pub enum FrameFault {
     #[error("rate {0} Hz; allowed: a finite rate above 0")]
     Rate(f64),
     /// a name that would do something to the terminal that it is printed on, or that is no text
-    #[error("actuator name `{}`; allowed: {NAMES}", foreign::value(&from_text(_0)))]
+    #[error("actuator name `{}`; allowed: {NAMES}, padded with zeros", foreign::value(&from_text(_0)))]
     Actuator([u8; 32]),
 }
 
@@ -117,8 +117,11 @@ pub const NAMES: &str = "up to 32 bytes of UTF-8 without control and format char
 /// The name in a fixed field, if it is one that may be printed.
 fn name(field: &[u8]) -> Option<&str> {
     let end = field.iter().position(|&b| b == 0).unwrap_or(field.len());
-    let text = std::str::from_utf8(&field[..end]).ok()?;
-    text.chars().all(foreign::is_plain).then_some(text)
+    let (text, padding) = field.split_at(end);
+    let text = std::str::from_utf8(text).ok()?;
+    // one name, one field: streams are told apart by its bytes
+    let is_name = text.chars().all(foreign::is_plain) && padding.iter().all(|&b| b == 0);
+    is_name.then_some(text)
 }
 
 /// What a sender says of a run.

@@ -37,6 +37,9 @@ pub const DIAGNOSIS_HISTORY: usize = 64;
 /// Diagnoses that wait for a subscriber; then the oldest give way.
 pub const DIAGNOSIS_BUFFER: usize = 512;
 
+/// A shorter wait for an event is none: the time-out of a socket is counted in microseconds, and 0 is for ever.
+const SHORTEST_WAIT: std::time::Duration = std::time::Duration::from_micros(10);
+
 /// Time in nanoseconds of the clock that all processes of the machine share and that never goes
 /// back (CLOCK_MONOTONIC).
 pub fn now_ns() -> u64 {

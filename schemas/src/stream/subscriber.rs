@@ -3,7 +3,7 @@
 use super::domain::{Domain, failed};
 use super::frame::{Acknowledgement, Block, FrameFault, FrameHeader};
 use super::publisher::{Factory, acknowledgements, folded, telemetry};
-use super::{ACKNOWLEDGEMENT, Ipc, TELEMETRY};
+use super::{ACKNOWLEDGEMENT, Ipc, SHORTEST_WAIT, TELEMETRY};
 use crate::error::Result;
 use crate::telemetry::TelemetryView;
 use iceoryx2::port::listener::ListenerWaitError;
@@ -128,6 +128,9 @@ impl Subscriber {
     /// # Errors
     /// A listener that fails.
     pub fn wait(&self, timeout: Duration) -> Result<()> {
+        if timeout < SHORTEST_WAIT {
+            return Ok(());
+        }
         match self.listener.timed_wait(|_| (), timeout) {
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
             Err(e) => Err(failed(TELEMETRY, "cannot be waited for", e)),
@@ -245,7 +248,7 @@ mod tests {
             .unwrap()
             .unwrap();
         subscriber.receive().unwrap().unwrap();
-        for name in [&b"a\x1b[2J"[..], b"\xff\xfe", b"a\rb"] {
+        for name in [&b"a\x1b[2J"[..], b"\xff\xfe", b"a\rb", b"a\0b"] {
             let mut frame = publisher.loan(&pass, 1, ROWS).unwrap();
             let mut field = [0; 32];
             field[..name.len()].copy_from_slice(name);

@@ -1,10 +1,13 @@
-//! The doors that take files, with good inputs to change.
+//! The doors, with good inputs to change.
 
-use super::changed;
+use super::bridge::Bridge;
+use super::truth::{Taken, as_written, line, silent};
+use super::{changed, frames};
 use crate::second::{self, Class};
 use diagnoser::calibration::Calibration;
-use diagnoser::diagnosis::Outcome;
 use diagnoser::failure_map::FailureMapSet;
+use diagnoser::live::Known;
+use diagnoser::unit::{KindEntry, TestEntry, UnitFile};
 use ema_study::measured::bench::Bench;
 use ema_study::measured::{check, recording};
 use pipeline::case::{self, Settings};
@@ -16,17 +19,11 @@ use schemas::toml_section;
 use sim_worker::dataset::plan::DatasetPlan;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;
+use sim_worker::setup::TestSetup;
 use sim_worker::spread::Spread;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
-
-/// How an input was taken that was not refused.
-pub enum Taken {
-    Right,
-    /// what is wrong with what came of it
-    Wrong(String),
-}
 
 type Open = Box<dyn Fn(&Path) -> Result<Taken, String> + Sync + Send>;
 
@@ -35,9 +32,18 @@ pub struct Door {
     pub name: &'static str,
     /// how often it is tried, against the others
     pub weight: u64,
-    /// folders or files that are good
+    /// files that are good, or once did what none may
     seeds: Vec<PathBuf>,
     pub open: Open,
+}
+
+/// Files that once did what none may (`tests/corpus`), of a door.
+pub fn corpus(door: &str) -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(door);
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut files: Vec<PathBuf> = entries.map(|e| e.path()).collect();
+    files.sort();
+    files
 }
 
 impl Door {
@@ -68,25 +74,8 @@ impl Door {
     }
 }
 
-fn line<T>(result: Result<T, impl std::fmt::Display>) -> Result<Taken, String> {
-    result.map(|_| Taken::Right).map_err(|e| format!("{e:#}"))
-}
-
 fn text_of(path: &Path) -> Result<String, String> {
     std::fs::read_to_string(path).map_err(|e| e.to_string())
-}
-
-/// Located a full width beside the truth.
-fn silent(diagnosis: &diagnoser::diagnosis::Diagnosis, truth: (f64, f64)) -> Option<String> {
-    let Outcome::Located(area) = &diagnosis.outcome else {
-        return None;
-    };
-    let beside = |i: schemas::fault::Interval, x: f64| {
-        let width = i.hi - i.lo;
-        x < i.lo - width || x > i.hi + width
-    };
-    let wrong = beside(area.fsj, truth.0) || beside(area.zeta, truth.1);
-    wrong.then(|| format!("located FSJ {:?}, zeta {:?} for {truth:?}", area.fsj, area.zeta))
 }
 
 /// All doors.
@@ -166,19 +155,49 @@ pub fn doors(ema: &Path, dir: &Path) -> Vec<Door> {
     let diagnosed = |s: Settings| -> Open {
         Box::new(move |path| match case::run(path, &s) {
             Err(e) => Err(format!("{e:#}")),
-            Ok(c) => Ok(silent(&c.diagnosis, (3.0, 0.3)).map_or(Taken::Right, Taken::Wrong)),
+            Ok(c) => Ok(silent(&c.diagnosis).map_or(Taken::Right, Taken::Wrong)),
         })
     };
-    let door = |name, weight, seeds: Vec<PathBuf>, open: Open| Door {
+    let door = |name: &'static str, weight, good: Vec<PathBuf>, open: Open| Door {
         name,
         weight,
-        seeds,
+        seeds: [good, corpus(name)].concat(),
         open,
     };
-    let fingerprint = FailureMapSet::load(&maps.join("maps.parquet")).unwrap().fingerprint();
+    let set = FailureMapSet::load(&maps.join("maps.parquet")).unwrap();
+    let fingerprint = set.fingerprint();
+    let calibrations = calibrations(&maps, dir);
+    let calibration = Calibration::load(&calibrations[0], &fingerprint).unwrap();
+    let unit = unit(&actuator);
+    let units = file("unit", "unit.json");
+    unit.save(&units).unwrap();
+    let known = Known {
+        actuators: vec![Arc::new(actuator.clone())],
+        sequences: vec![sequence.clone()],
+        sensors: vec![sensors.fingerprint()],
+    };
+    let flying = Arc::new(case::run(&csv, &settings()).unwrap().diagnoser);
+    let framed = file("frames", "run.frames");
+    std::fs::write(&framed, frames::of(&parquet)).unwrap();
+    let bridge = Bridge::start(ema, &maps);
+    let sent = file("bridge", "run.sent");
+    std::fs::write(&sent, bridge.recorded(ema, &parquet)).unwrap();
     vec![
         door("recording.csv", 40, vec![csv], diagnosed(settings())),
         door("recording.parquet", 40, vec![parquet], diagnosed(settings())),
+        door(
+            "frames",
+            60,
+            vec![framed],
+            Box::new(move |p| frames::diagnose(p, &known, &flying)),
+        ),
+        door("bridge", 15, vec![sent], Box::new(move |p| bridge.send(p))),
+        door(
+            "unit.json",
+            60,
+            vec![units],
+            Box::new(move |p| as_written(UnitFile::load(p), &unit)),
+        ),
         door(
             "actuator.toml",
             200,
@@ -215,13 +234,13 @@ pub fn doors(ema: &Path, dir: &Path) -> Vec<Door> {
             "maps.parquet",
             60,
             vec![maps.join("maps.parquet")],
-            Box::new(|p| line(FailureMapSet::load(p))),
+            Box::new(move |p| as_written(FailureMapSet::load(p), &set)),
         ),
         door(
             "calibration.json",
             20,
-            calibrations(&maps, dir),
-            Box::new(move |p| line(Calibration::load(p, &fingerprint))),
+            calibrations,
+            Box::new(move |p| as_written(Calibration::load(p, &fingerprint), &calibration)),
         ),
         door(
             "bench",
@@ -273,4 +292,29 @@ fn calibrations(maps: &Path, dir: &Path) -> Vec<PathBuf> {
     std::fs::create_dir_all(dir.join("calibration")).unwrap();
     calibration.save(&path).unwrap();
     vec![path]
+}
+
+/// A unit that was shown a healthy and a worn test.
+fn unit(actuator: &ActuatorParameters) -> UnitFile {
+    let spread = sim_worker::catalogue::spread("unit").unwrap();
+    let mut unit = UnitFile::new("tail 7".into(), "reference".into(), actuator.clone(), spread);
+    let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
+    let setup = TestSetup::new(Arc::new(unit.actuator.clone()), sequence, 1000.0);
+    unit.kinds.push(KindEntry::of(&setup));
+    for (healthy, outcome) in [(true, "baseline"), (false, "located")] {
+        unit.tests.push(TestEntry {
+            file: format!("{outcome}.csv"),
+            checksum: "00".into(),
+            healthy,
+            outcome: outcome.into(),
+            reason: String::new(),
+            kind: unit.kinds[0].kind.clone(),
+            fsj: (!healthy).then_some((2.9, 3.0, 3.1)),
+            zeta: (!healthy).then_some((0.29, 0.3, 0.31)),
+            features: vec![("p2".into(), 0.125), ("p3".into(), 0.0625)],
+            commit: String::new(),
+        });
+    }
+    unit.constants.mean[0] = 0.0123;
+    unit
 }

@@ -1,20 +1,23 @@
-//! Inputs changed at random, through every door that takes a file: each must be taken or refused in one line, never
-//! panic, never hang, and never locate what is not there.
+//! Inputs changed at random, through every door that takes something from outside: each must be taken or refused in one line, never
+//! panic, never hang, and never locate what is not there. So must what comes through shared memory and over the bridge.
 
+mod bridge;
 mod change;
 mod doors;
+mod frames;
+mod truth;
 
 pub use change::changed;
-pub use doors::{Door, Taken, doors};
+pub use doors::{Door, corpus, doors};
+pub use truth::Taken;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
-use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// From which on an input counts as one that hangs.
@@ -43,17 +46,15 @@ impl Tally {
     }
 }
 
-thread_local! {
-    static PANIC: RefCell<Option<String>> = const { RefCell::new(None) };
-}
+/// Where and why the last panic was, whatever its thread.
+static PANIC: Mutex<Option<String>> = Mutex::new(None);
 
 /// Where and why, without a word on standard error.
 fn quiet_panics() {
     std::panic::set_hook(Box::new(|info| {
         let place = info.location().map(|l| format!("{}:{}", l.file(), l.line()));
-        PANIC.set(Some(
-            format!("{} ({info})", place.unwrap_or_default()).replace('\n', " "),
-        ));
+        let what = format!("{} ({info})", place.unwrap_or_default()).replace('\n', " ");
+        *PANIC.lock().unwrap_or_else(PoisonError::into_inner) = Some(what);
     }));
 }
 
@@ -68,7 +69,10 @@ fn judged(door: &Door, path: &Path) -> (Tally, Duration) {
         ..Tally::default()
     };
     let fault = match result {
-        Err(_) => Some(format!("panic {}", PANIC.take().unwrap_or_default())),
+        Err(_) => {
+            let mut said = PANIC.lock().unwrap_or_else(PoisonError::into_inner);
+            Some(format!("panic {}", said.take().unwrap_or_default()))
+        }
         Ok(Ok(Taken::Right)) => {
             tally.taken = 1;
             None
@@ -85,13 +89,32 @@ fn judged(door: &Door, path: &Path) -> (Tally, Duration) {
     (tally, took)
 }
 
-/// `inputs` through the doors in turn; what fails is kept in `dir/faults`.
+/// How long a campaign goes on: so many inputs, or so long, whatever comes first.
+#[derive(Clone, Copy, Debug)]
+pub struct Effort {
+    /// number of the first one: with the seed it names an input
+    pub first: u64,
+    pub inputs: u64,
+    pub time: Duration,
+}
+
+impl Effort {
+    pub fn inputs(inputs: u64) -> Self {
+        Self {
+            first: 0,
+            inputs,
+            time: Duration::MAX,
+        }
+    }
+}
+
+/// The corpus as it is, then inputs through the doors in turn; what fails is kept in `dir/faults`.
 ///
 /// * `seed` of the changes: the same seed gives the same inputs
 /// * `said` is told how many are done
 pub fn campaign(
     doors: &[Door],
-    inputs: u64,
+    effort: Effort,
     seed: u64,
     dir: &Path,
     said: impl Fn(u64) + Sync,
@@ -101,8 +124,8 @@ pub fn campaign(
     std::fs::create_dir_all(&kept).unwrap();
     let total: u64 = doors.iter().map(|d| d.weight).sum();
     let all: Mutex<BTreeMap<&'static str, Tally>> = Mutex::default();
-    let done = std::sync::atomic::AtomicU64::new(0);
-    (0..inputs).into_par_iter().for_each(|i| {
+    let (begun, done, start) = (AtomicU64::new(effort.first), AtomicU64::new(0), Instant::now());
+    let one = |i: u64, thread: usize| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(i);
         let mut ticket = rng.random_range(0..total);
@@ -114,7 +137,6 @@ pub fn campaign(
             None => true,
         });
         let door = door.expect("a ticket below the sum of weights");
-        let thread = rayon::current_thread_index().unwrap_or(0);
         let room = dir.join(format!("{}-{thread}", door.name));
         let input = door.input(&mut rng, &room);
         let (mut tally, _) = judged(door, &input);
@@ -124,7 +146,28 @@ pub fn campaign(
             let _ = std::fs::copy(&input, path);
         }
         all.lock().expect("no panics").entry(door.name).or_default().add(tally);
-        said(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1);
+        said(done.fetch_add(1, Ordering::Relaxed) + 1);
+    };
+    for door in doors {
+        for file in corpus(door.name) {
+            let (mut tally, _) = judged(door, &file);
+            tally.faults.iter_mut().for_each(|(_, path)| path.clone_from(&file));
+            all.lock().expect("no panics").entry(door.name).or_default().add(tally);
+        }
+    }
+    // threads of their own: some doors wait for work of the pool's
+    std::thread::scope(|scope| {
+        for thread in 0..std::thread::available_parallelism().map_or(1, usize::from) {
+            let (one, begun) = (&one, &begun);
+            scope.spawn(move || {
+                while start.elapsed() < effort.time {
+                    match begun.fetch_add(1, Ordering::Relaxed) {
+                        i if i - effort.first < effort.inputs => one(i, thread),
+                        _ => return,
+                    }
+                }
+            });
+        }
     });
     let _ = std::panic::take_hook();
     all.into_inner().expect("no panics")

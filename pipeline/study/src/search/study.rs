@@ -336,7 +336,8 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
         tried.push((fit, gain));
     }
     tried.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let gain = tried[0].1;
+    // none where the gains are beyond all numbers
+    let gain = tried.first()?.1;
     let kind_of = |f: &Fit| f.terms.last().expect("one was added").kind;
     let before = m.crossed(model);
     let clean = (0..5).all(|e| tried[0].0.score.energy[e] <= WORTH * m.fit.sensor_energy(e));
