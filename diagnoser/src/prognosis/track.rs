@@ -495,7 +495,7 @@ impl Track {
                 probability: mass,
                 factor,
             });
-            let text = format!("at {t:.6}, rate x {factor:.1}");
+            let text = format!("at {}, rate x {factor:.1}", (t * 1e3).round() / 1e3);
             self.alarm(Kind::RateChange, mass, since, text);
         }
     }

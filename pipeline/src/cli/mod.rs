@@ -8,7 +8,7 @@ mod diagnose;
 mod discrepancy;
 mod maps;
 mod plot;
-pub(crate) mod prognosis;
+mod prognosis;
 mod query;
 mod run;
 mod simulate;

@@ -3,17 +3,17 @@
 use super::say;
 use crate::Interrupted;
 use crate::prognosis::learn::{Ends, Unit, learn, units_of};
-use crate::prognosis::page::{fine, moment, report, short};
+use crate::prognosis::page::report;
 use crate::prognosis::read::{End, Test, Units, events, history, truths};
 use crate::prognosis::score::{Scored, score, to_json as score_json, to_text as score_text};
+use crate::prognosis::words::{text, to_json};
 use crate::prognosis::{Asked, Clock, Events, Threshold, Told, history_of, learn as fleet_file, outlooks, tables};
 use crate::progress::{interrupted, note};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::prognosis::Fleet;
-use diagnoser::prognosis::outlook::promise;
 use schemas::error::Error;
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -412,157 +412,4 @@ fn scored(a: &ScoreArgs) -> Result<ExitCode> {
         schemas::error::write_whole(&dir.join("scores.csv"), rows.as_bytes())?;
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// A finite number, or null.
-fn number(x: f64) -> Value {
-    if x.is_finite() { json!(x) } else { Value::Null }
-}
-
-/// Keys of the interface.
-pub fn to_json(t: &Told) -> Value {
-    let o = &t.outlook;
-    let ends = |e: Option<(f64, f64, f64)>| match e {
-        Some((lo, hi, estimate)) => json!({"lo": number(lo), "hi": number(hi), "estimate": number(estimate)}),
-        None => json!({"lo": null, "hi": null, "estimate": null}),
-    };
-    let laws = o.laws.iter().map(|(f, m)| (f.name().to_string(), json!(m)));
-    let p_fail = o.p_fail.iter().map(|(h, p)| (h.to_string(), json!(p)));
-    let alarm = |a: &diagnoser::prognosis::track::Alarm| json!({"kind": a.kind.name(), "at": number(a.at), "probability": a.probability, "text": a.text});
-    let rul = o.rul();
-    let of = |f: fn((f64, f64, f64)) -> f64| rul.map_or(Value::Null, |r| number(f(r)));
-    json!({
-        "actuator": o.actuator,
-        "fault": t.threshold.fault,
-        "threshold": number(t.threshold.level),
-        "clock": t.clock.name(),
-        "tests": o.tests,
-        "used": o.used,
-        "at": number(o.at),
-        "level": ends(o.level),
-        "rate": ends(o.rate),
-        "law": serde_json::Map::from_iter(laws),
-        "change": o.change.map(|c| json!({"at": c.at, "probability": c.probability, "factor": c.factor})),
-        "rul": {"median": of(|r| r.2), "lo": of(|r| r.0), "hi": of(|r| r.1)},
-        "rul_days": t.days.and_then(|d| rul.map(|r| json!({"median": number(d * r.2), "lo": number(d * r.0), "hi": number(d * r.1)}))),
-        "coverage": diagnoser::prognosis::fleet::COVERAGE,
-        "calibration_lives": o.left.as_ref().and_then(|l| l.calibrated),
-        "p_fail": serde_json::Map::from_iter(p_fail),
-        "p_never": o.p_never,
-        "next_test": o.next_test.map(number),
-        "next_inspection": o.next_inspection.map(number),
-        "risk": o.risk,
-        "status": o.status.name(),
-        "alarms": o.alarms.iter().map(alarm).collect::<Vec<_>>(),
-        "reason": o.reason,
-    })
-}
-
-/// For people: as many lines as there is something to say.
-pub fn text(t: &Told) -> String {
-    let o = &t.outlook;
-    let clock = t.clock.name();
-    let mut out = format!("actuator  {}   {} tests, {} used", o.actuator, o.tests, o.used);
-    if let Some(track) = &t.track {
-        let count = |name: &str| track.trends.iter().filter(|r| r.ended.name() == name).count();
-        for name in ["unexplained", "out_of_range", "incomplete"] {
-            if count(name) > 0 {
-                out += &format!(", {} {}", count(name), name.replace('_', " "));
-            }
-        }
-    }
-    if o.repairs > 0 {
-        out += &format!("; {} repairs", o.repairs);
-    }
-    let title = match t.threshold.fault.as_str() {
-        "fsj" => "FSJ".to_string(),
-        name => name.into(),
-    };
-    if let Some((lo, hi, e)) = o.level {
-        out += &format!(
-            "\n{title:<9} {} in {} .. {} (95 %)",
-            fine(e, hi - lo),
-            fine(lo, hi - lo),
-            fine(hi, hi - lo)
-        );
-    }
-    if let Some((lo, hi, e)) = o.rate {
-        let mut laws: Vec<_> = o.laws.iter().filter(|l| l.1 >= 0.05).collect();
-        laws.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let laws: Vec<String> = laws
-            .iter()
-            .map(|(f, m)| format!("{} {m:.2}", f.name().replace('_', " ")))
-            .collect();
-        out += &format!(
-            "\nrate      {} a {clock} in {} .. {};  law: {}",
-            short(e),
-            short(lo),
-            short(hi),
-            laws.join(", ")
-        );
-    }
-    if let Some(c) = o.change {
-        out += &format!(
-            "\nchange    {} ({} .. {}), rate x {:.1}, probability {:.2}",
-            moment(t.clock, c.at),
-            short(c.since.0),
-            short(c.since.1),
-            c.factor,
-            c.probability
-        );
-    }
-    if let (Some((lo, hi, median)), Some(left)) = (o.rul(), &o.left) {
-        out += &format!(
-            "\nRUL       {} {clock}s in {} .. {} ({})",
-            short(median),
-            short(lo),
-            short(hi),
-            promise(left)
-        );
-        if let Some(d) = t.days {
-            out += &format!(";  {} d .. {} d at the pace of late", short(d * lo), short(d * hi));
-        }
-        let p: Vec<String> = o
-            .p_fail
-            .iter()
-            .map(|p| {
-                if p.1 < 0.001 {
-                    "< 0.001".into()
-                } else {
-                    format!("{:.3}", p.1)
-                }
-            })
-            .collect();
-        let h: Vec<String> = o.p_fail.iter().map(|p| short(p.0)).collect();
-        out += &format!(
-            "\nP(beyond {}) within {} {clock}s: {}",
-            if t.threshold.level.is_nan() {
-                "a threshold".into()
-            } else {
-                short(t.threshold.level)
-            },
-            h.join(", "),
-            p.join(", ")
-        );
-        if let (Some(a), Some(b)) = (o.next_test, o.next_inspection) {
-            out += &format!(
-                "\nadvice    next test by {}, inspection by {} (risk {} %)",
-                moment(t.clock, a),
-                moment(t.clock, b),
-                short(100.0 * o.risk)
-            );
-        }
-    }
-    if o.status.name() != "ok" {
-        out += &format!("\n{:<9} {}", o.status.name().replace('_', " ").to_uppercase(), o.reason);
-    }
-    for a in o.alarms.iter().rev().take(3) {
-        out += &format!(
-            "\nalarm     {} at {}: {}",
-            a.kind.name().replace('_', " "),
-            moment(t.clock, a.at),
-            a.text
-        );
-    }
-    out
 }

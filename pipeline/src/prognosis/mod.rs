@@ -5,6 +5,7 @@ pub mod page;
 pub mod read;
 pub mod score;
 pub mod tables;
+pub mod words;
 
 use anyhow::Result;
 use diagnoser::prognosis::fleet::Left;

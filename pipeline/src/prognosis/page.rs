@@ -1,10 +1,10 @@
 //! The page of a prognosis: the fleet by risk; trend, time left, its distribution and the laws of the worst units.
 
 use super::tables::by_risk;
+use super::words::{moment, short, text};
 use super::{Clock, Told};
 use crate::COMMIT;
 use crate::report::{Figure, Report, Section, Table, TableRow, TracePlot};
-use arrow::temporal_conversions::timestamp_ns_to_datetime;
 use diagnoser::prognosis::fleet::{COVERAGE, Fleet, without_fleet};
 use diagnoser::prognosis::forecast::quantile;
 use diagnoser::prognosis::law::Family;
@@ -54,36 +54,6 @@ pub fn report(told: &[Told], fleets: &[Fleet], histories: &dyn Fn(&Told) -> Opti
         ],
         sections,
     }
-}
-
-/// A number by four digits, or as many as stand before its point.
-pub fn short(x: f64) -> String {
-    match x.abs() {
-        _ if x.is_infinite() => "never".into(),
-        _ if x.is_nan() => "-".into(),
-        a if a >= 1000.0 => format!("{x:.0}"),
-        _ => format!("{x:.3e}")
-            .parse::<f64>()
-            .map_or_else(|_| "-".into(), |v| v.to_string()),
-    }
-}
-
-/// A number with two digits of a width.
-pub fn fine(x: f64, width: f64) -> String {
-    let digits = (1.0 - width.abs().max(1e-12).log10().floor()).clamp(0.0, 12.0);
-    format!("{x:.*}", digits as usize)
-}
-
-/// A moment of a clock: days since 1970 as a date.
-pub fn moment(clock: Clock, x: f64) -> String {
-    let to_ns = 86_400e9 / if clock == Clock::Hour { 24.0 } else { 1.0 };
-    // numbers of a clock that begins elsewhere are no dates
-    let is_date = matches!(clock, Clock::Day | Clock::Hour) && x * to_ns > 315_360_000e9 && x * to_ns < 9e18;
-    let date = is_date.then(|| timestamp_ns_to_datetime((x * to_ns) as i64)).flatten();
-    date.map_or_else(
-        || format!("{} {}", clock.name(), short(x)),
-        |d| d.format("%Y-%m-%d").to_string(),
-    )
 }
 
 fn fleet_section(sorted: &[&Told], clock: Clock) -> Section {
@@ -164,27 +134,8 @@ fn unit_section(
             figures.push((stem("cdf"), Figure::Trace(distribution(t))));
         }
     }
-    let alarms: Vec<String> = o
-        .alarms
-        .iter()
-        .rev()
-        .take(6)
-        .map(|a| format!("- {} at {}: {}", a.kind.name().replace('_', " "), short(a.at), a.text))
-        .collect();
-    let mut text = super::super::cli::prognosis::text(t);
-    if !alarms.is_empty() {
-        text += &format!("\n\nLast alarms:\n\n{}", alarms.join("\n"));
-    }
-    let lines: Vec<String> = text
-        .lines()
-        .map(|l| {
-            if l.is_empty() || l.starts_with("- ") || l.starts_with("Last") {
-                l.into()
-            } else {
-                format!("- {l}")
-            }
-        })
-        .collect();
+    let text = text(t);
+    let lines: Vec<String> = text.lines().map(|l| format!("- {l}")).collect();
     Section {
         title: format!("{}, {}", o.actuator, t.threshold.fault),
         text: lines.join("\n"),
