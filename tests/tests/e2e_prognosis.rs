@@ -152,8 +152,12 @@ fn e2e_tables_and_a_page_are_written_and_two_faults_have_a_joint_life() {
             unit.iter().map(|v| v["fault"].as_str().unwrap()).collect::<Vec<_>>(),
             ["fsj", "zeta", "joint"]
         );
+        if unit[2]["status"] == "passed" {
+            assert!(unit[..2].iter().any(|v| v["status"] == "passed"), "{unit:?}");
+            continue;
+        }
         let median = |v: &Value| v["rul"]["median"].as_f64().unwrap_or(f64::INFINITY);
-        assert!(median(&unit[2]) <= median(&unit[0]).min(median(&unit[1])));
+        assert!(median(&unit[2]) <= median(&unit[0]).min(median(&unit[1])), "{unit:?}");
     }
     for name in [
         "trends.parquet",
