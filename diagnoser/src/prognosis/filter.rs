@@ -149,6 +149,7 @@ impl Filter {
     }
 
     /// One combination alone, with nothing forgotten and no change of regime: what referees can follow.
+    #[cfg(test)]
     pub fn of_one(prior: Arc<Prior>, model: Model, x: f64, sd: f64) -> Self {
         let mut f = Self::new(
             Arc::new(Prior {
@@ -309,7 +310,7 @@ impl Filter {
             s.rho += c.weight * c.rho;
         }
         let (later, born) = (self.prior.later, self.updates);
-        let [(x_all, sx_all), _] = self.moments();
+        let (x_all, sx_all) = self.damage();
         self.sweeps += 1;
         let mut young = Vec::new();
         for model in Model::all() {
@@ -372,9 +373,14 @@ impl Filter {
         self.merge();
     }
 
-    /// Mean and standard deviation of damage [share of U], and of rho.
-    pub fn moments(&self) -> [(f64, f64); 2] {
-        [self.moments_of(|c| (c.x, c.pxx)), self.moments_of(|c| (c.rho, c.prr))]
+    /// Mean and standard deviation of damage [share of U].
+    pub fn damage(&self) -> (f64, f64) {
+        self.moments_of(|c| (c.x, c.pxx))
+    }
+
+    /// Mean and standard deviation of rho.
+    pub fn rho(&self) -> (f64, f64) {
+        self.moments_of(|c| (c.rho, c.prr))
     }
 
     /// Mean and standard deviation of something that a component has with a mean and a variance.

@@ -3,9 +3,11 @@
 use super::filter::Filter;
 use super::forecast::{Horizon, crps, forecast, quantile};
 use super::prior::{MODELS, Model, Prior};
-use super::similar::{Kernel, Life, similar};
+use super::similar::{Kernel, Life, Likeness, similar};
+use super::special::evenly;
 use super::track::Track;
 use serde::{Deserialize, Serialize};
+use std::sync::OnceLock;
 
 /// Bands of the damage seen [share of U]: what is known at the time, so that what is learned by them may be promised.
 const BANDS: [f64; 2] = [0.15, 0.45];
@@ -62,7 +64,7 @@ pub struct Place {
 }
 
 /// What was learned of one fault of a fleet.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Fleet {
     /// fault or column
     pub fault: String,
@@ -84,6 +86,9 @@ pub struct Fleet {
     pub places: Vec<Place>,
     /// mass below the interval by band
     pub tails: Vec<f64>,
+    /// quantiles of the places by band and group, worked out when they are first asked for
+    #[serde(skip)]
+    quantiles: OnceLock<Vec<Vec<Vec<f64>>>>,
 }
 
 /// The distribution of the time left, as it is promised.
@@ -176,17 +181,8 @@ fn mixture(sets: &[Vec<f64>; FORECASTS], shares: &[f64; FORECASTS], samples: usi
         return sets[0].clone();
     }
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (mut i, mut cumulated) = (0, points[0].1);
-    let quantiles = (0..samples).map(|k| (k as f64 + 0.5) / samples as f64);
-    quantiles
-        .map(|u| {
-            while u > cumulated && i + 1 < points.len() {
-                i += 1;
-                cumulated += points[i].1;
-            }
-            points[i].0
-        })
-        .collect()
+    let chosen = evenly(points.iter().map(|p| p.1), samples);
+    chosen.iter().map(|i| points[*i].0).collect()
 }
 
 /// Sums of what units say: the fleet's prior is made of them, the units that still live included.
@@ -250,8 +246,8 @@ impl Gathered {
 
 /// A past forecast: `track` up to some test, with the lives of others.
 /// * `truth` what was left in truth [units of the clock]
-pub fn shot<'a>(unit: usize, track: &Track, lives: impl Iterator<Item = &'a Life> + Clone, truth: f64) -> Shot {
-    let x = track.filter.moments()[0].0;
+pub fn shot<'a>(unit: usize, track: &Track, lives: impl Iterator<Item = &'a Life>, truth: f64) -> Shot {
+    let x = track.filter.damage().0;
     Shot {
         unit,
         band: band(x),
@@ -261,19 +257,16 @@ pub fn shot<'a>(unit: usize, track: &Track, lives: impl Iterator<Item = &'a Life
     }
 }
 
-fn sets<'a>(track: &Track, lives: impl Iterator<Item = &'a Life> + Clone) -> [Vec<f64>; FORECASTS] {
-    let alike = |kernel: Kernel| {
-        if track.is_from_new() {
-            similar(&track.life, lives.clone(), kernel, SAMPLES)
-        } else {
-            Vec::new()
-        }
+fn sets<'a>(track: &Track, lives: impl Iterator<Item = &'a Life>) -> [Vec<f64>; FORECASTS] {
+    let alike = match track.is_from_new() {
+        true => Likeness::of(&track.life, lives),
+        false => Vec::new(),
     };
     [
         of_filter(track, AHEAD_OFTEN),
         of_filter(track, AHEAD_SELDOM),
-        alike(Kernel::BROAD),
-        alike(Kernel::NARROW),
+        similar(&alike, Kernel::BROAD, SAMPLES),
+        similar(&alike, Kernel::NARROW, SAMPLES),
     ]
 }
 
@@ -306,6 +299,7 @@ impl Fleet {
             shares: vec![vec![usual; N_GROUPS]; N_BANDS],
             places: Vec::new(),
             tails: vec![TAILS[0]; N_BANDS],
+            quantiles: OnceLock::new(),
         };
         if !compared || shots.is_empty() {
             return f;
@@ -343,14 +337,13 @@ impl Fleet {
     /// The time left of a unit.
     pub fn left(&self, track: &Track) -> Left {
         let lives = self.lives.iter().filter(|_| self.lives.len() >= COMPARED);
-        let (b, g) = (band(track.filter.moments()[0].0), track.group());
+        let (b, g) = (band(track.filter.damage().0), track.group());
         let mixed = mixture(&sets(track, lives), &self.shares[b][g], SAMPLES);
         let horizon = horizon(&self.prior);
         if self.places.is_empty() {
             return Left::of(mixed, None, horizon);
         }
-        let places = self.quantiles(b, g);
-        let times: Vec<f64> = places.iter().map(|p| quantile(&mixed, *p)).collect();
+        let times = self.placed(b, g, &mixed);
         let more = (CHOSEN / self.lives.len() as f64).min(0.05);
         let tail = self.tails[b] * (1.0 - more / (1.0 - COVERAGE));
         let interval = (quantile(&times, tail), quantile(&times, tail + COVERAGE + more));
@@ -360,6 +353,13 @@ impl Fleet {
             calibrated: self.is_calibrated().then_some(self.lives.len()),
             horizon,
         }
+    }
+
+    /// Samples as the places of past truths have them.
+    fn placed(&self, b: usize, g: usize, mixed: &[f64]) -> Vec<f64> {
+        let all = || (0..N_BANDS).map(|b| (0..N_GROUPS).map(|g| self.quantiles(b, g)).collect());
+        let places = &self.quantiles.get_or_init(|| all().collect())[b][g];
+        places.iter().map(|p| quantile(mixed, *p)).collect()
     }
 
     /// Quantiles of the places of past truths in a band, those of a group first of all: distributional conformal prediction
@@ -410,14 +410,10 @@ impl Fleet {
 
     /// The mass below the interval, by band, that makes it narrowest.
     fn narrowest(&self, shots: &[Shot]) -> Vec<f64> {
-        let grids: Vec<Vec<Vec<f64>>> = (0..N_BANDS)
-            .map(|b| (0..N_GROUPS).map(|g| self.quantiles(b, g)).collect())
-            .collect();
         let most = horizon(&self.prior);
         let mut widths = [[0.0; TAILS.len()]; N_BANDS];
         for s in shots {
-            let m = self.mixed(s);
-            let times: Vec<f64> = grids[s.band][s.group].iter().map(|p| quantile(&m, *p)).collect();
+            let times = self.placed(s.band, s.group, &self.mixed(s));
             for (w, tail) in widths[s.band].iter_mut().zip(TAILS) {
                 *w += (quantile(&times, tail + COVERAGE).min(most) - quantile(&times, tail)) / s.truth.max(1e-9);
             }

@@ -2,7 +2,7 @@
 
 use super::filter::{Component, Filter};
 use super::prior::{Prior, Wear};
-use super::special::normal_quantile;
+use super::special::{evenly, normal_quantile};
 
 /// A small generator with a seed: SplitMix64 (Steele, Lea and Flood 2014).
 #[derive(Clone, Debug)]
@@ -82,20 +82,14 @@ pub struct Horizon {
 /// Times until the threshold [units of the clock], ascending; infinite where it is not reached within the horizon.
 pub fn forecast(filter: &Filter, h: &Horizon) -> Vec<f64> {
     let mut random = Random::new(h.seed);
-    let mut parts = filter.components.iter();
-    let Some(mut c) = parts.next() else { return Vec::new() };
-    let mut cumulated = c.weight;
-    let mut out = Vec::with_capacity(h.samples);
-    for i in 0..h.samples {
-        let u = (i as f64 + 0.5) / h.samples as f64;
-        while u > cumulated {
-            let Some(next) = parts.next() else { break };
-            c = next;
-            cumulated += c.weight;
-        }
-        let threshold = 1.0 + h.common * random.normal();
-        out.push(run(c, filter, threshold, h, &mut random));
-    }
+    let parts = &filter.components;
+    let chosen = evenly(parts.iter().map(|c| c.weight), h.samples).into_iter();
+    let mut out: Vec<f64> = chosen
+        .map(|i| {
+            let threshold = 1.0 + h.common * random.normal();
+            run(&parts[i], filter, threshold, h, &mut random)
+        })
+        .collect();
     out.sort_by(f64::total_cmp);
     out
 }
@@ -174,16 +168,12 @@ pub fn quantile(times: &[f64], p: f64) -> f64 {
     let at = (p * n as f64 - 0.5).clamp(0.0, (n - 1) as f64);
     let (i, f) = (at.floor() as usize, at.fract());
     let (a, b) = (times[i], times[(i + 1).min(n - 1)]);
-    match b.is_infinite() {
+    match b.is_finite() {
         _ if f == 0.0 || a == b => a,
-        true => {
-            if f < 0.5 {
-                a
-            } else {
-                b
-            }
-        }
-        false => a + f * (b - a),
+        true => a + f * (b - a),
+        // the nearer one
+        false if f < 0.5 => a,
+        false => b,
     }
 }
 

@@ -1,7 +1,13 @@
 //! Diagnoses over time, as the filter reads them.
 
 use super::filter::Reading;
-use super::special::normal_quantile;
+use super::special::{middle, normal_quantile};
+
+/// Lower end, upper end, estimate.
+pub type Ends = (f64, f64, f64);
+
+/// Standard deviations of a 95 % interval.
+pub const Z95: f64 = 1.959_963_985;
 
 /// How a test ended, as far as a prognosis is concerned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,14 +109,8 @@ impl History {
 
     /// Usual time between two tests: the median, above 0.
     pub fn interval(&self) -> Option<f64> {
-        let mut gaps: Vec<f64> = self
-            .rows
-            .windows(2)
-            .map(|w| w[1].at - w[0].at)
-            .filter(|g| *g > 0.0)
-            .collect();
-        gaps.sort_by(f64::total_cmp);
-        gaps.get(gaps.len() / 2).copied()
+        let gaps = self.rows.windows(2).map(|w| w[1].at - w[0].at);
+        middle(gaps.filter(|g| *g > 0.0).collect())
     }
 }
 
@@ -158,6 +158,19 @@ impl Scale {
     /// A difference of levels as damage, without sign.
     pub fn width(&self, difference: f64) -> f64 {
         (difference / (self.threshold - self.healthy)).abs()
+    }
+
+    /// Level of a damage by its mean and standard deviation, with the ends of its 95 % interval.
+    pub fn level_of(&self, (x, sd): (f64, f64)) -> Ends {
+        let ends = [self.level(x - Z95 * sd), self.level(x + Z95 * sd)];
+        (ends[0].min(ends[1]), ends[0].max(ends[1]), self.level(x))
+    }
+
+    /// Growth of the level, without sign, by mean and standard deviation of the logarithm of that of damage; with the ends of
+    /// its 95 % interval [unit of the fault / unit of the clock].
+    pub fn rate_of(&self, (log, sd): (f64, f64)) -> Ends {
+        let of = |z: f64| (self.threshold - self.healthy).abs() * (log + z * sd).exp();
+        (of(-Z95), of(Z95), of(0.0))
     }
 
     /// What a test says; nothing where it says nothing of this fault.

@@ -2,17 +2,14 @@
 
 use super::fleet::{COVERAGE, Fleet, Left, without_fleet};
 use super::forecast::quantile;
-use super::history::{History, Scale};
+use super::history::{Ends, History, Scale};
 use super::law::Family;
 use super::prior::Prior;
-use super::track::{Alarm, Change, Kind, OFTEN, Track};
+use super::track::{Alarm, Change, Kind, Track};
 use std::sync::Arc;
 
 /// Located tests below which nothing is foretold.
 pub const LEAST_TESTS: usize = 5;
-
-/// Standard deviations of a 95 % interval.
-const Z95: f64 = 1.959_963_985;
 
 /// Share of wrong tests of late above which the rows are not one unit's (assumed).
 const SWINGS: f64 = 0.35;
@@ -48,9 +45,6 @@ impl Status {
     }
 }
 
-/// Lower end, upper end, estimate.
-pub type Told = (f64, f64, f64);
-
 /// What is asked.
 #[derive(Clone, Debug)]
 pub struct Question {
@@ -78,9 +72,9 @@ pub struct Outlook {
     /// last test [units of the clock]
     pub at: f64,
     /// level [unit of the fault], 95 %
-    pub level: Option<Told>,
+    pub level: Option<Ends>,
     /// its growth [unit of the fault / unit of the clock], 95 %
-    pub rate: Option<Told>,
+    pub rate: Option<Ends>,
     /// mass by family of laws
     pub laws: Vec<(Family, f64)>,
     /// last change of the rate
@@ -157,7 +151,7 @@ impl Outlook {
     }
 
     /// Median and interval of the time left; infinite where it is never.
-    pub fn rul(&self) -> Option<Told> {
+    pub fn rul(&self) -> Option<Ends> {
         let l = self.left.as_ref()?;
         Some((l.interval.0, l.interval.1, quantile(&l.times, 0.5)))
     }
@@ -176,71 +170,38 @@ pub fn outlook(history: &History, question: &Question, fleet: Option<&Fleet>) ->
 
 /// What is told of a track after its last test. An alarm of the risk is added to it.
 pub fn told(history: &History, question: &Question, fleet: Option<&Fleet>, track: &mut Track) -> Outlook {
-    let scale = question.scale;
+    let (status, reason) = judged(history, track);
     let mut out = Outlook {
-        actuator: history.actuator.clone(),
-        status: Status::Ok,
-        reason: String::new(),
-        tests: track.trends.len(),
+        status,
         used: track.used,
         at: track.at,
-        level: None,
-        rate: None,
-        laws: Vec::new(),
         change: track.change,
-        left: None,
-        p_fail: Vec::new(),
-        p_never: None,
-        next_test: None,
-        next_inspection: None,
-        risk: question.risk,
-        alarms: Vec::new(),
         repairs: track.trends.last().map_or(0, |t| t.segment),
+        ..Outlook::refused(&history.actuator, track.trends.len(), question.risk, reason)
     };
-    let worth = judged(history, track);
-    (out.status, out.reason) = (worth.0, worth.1);
-    if out.status == Status::Refused {
-        return Outlook {
-            alarms: track.alarms.clone(),
-            ..out
-        };
+    if let (Some(now), true) = (track.trends.last(), status != Status::Refused && track.used > 0) {
+        out.level = Some(question.scale.level_of(now.damage));
+        out.rate = Some(question.scale.rate_of(now.log_rate));
+        out.laws = Family::ALL.into_iter().zip(track.filter.families()).collect();
     }
-    if track.used > 0 {
-        let (x, sd) = track.filter.moments()[0];
-        let half = Z95 * sd;
-        let ends = [scale.level(x - half), scale.level(x + half)];
-        out.level = Some((ends[0].min(ends[1]), ends[0].max(ends[1]), scale.level(x)));
-        let (m, s) = track.filter.log_rate();
-        let unit = (scale.threshold - scale.healthy).abs();
-        let of = |z: f64| unit * (m + z * s).exp();
-        out.rate = Some((of(-Z95), of(Z95), of(0.0)));
-        let families = track.filter.families();
-        out.laws = Family::ALL.into_iter().zip(families).collect();
+    if matches!(status, Status::Ok | Status::Doubtful) {
+        let left = fleet.map_or_else(|| without_fleet(track), |f| f.left(track));
+        let interval = track.filter.prior().interval;
+        let soon = left.within(interval);
+        if soon > question.risk {
+            let text = format!("P(threshold within {interval:.3}, the usual time to the next test) is {soon:.3}");
+            track.alarms.push(Alarm {
+                kind: Kind::Risk,
+                at: track.at,
+                probability: soon,
+                since: (track.at, track.at),
+                text,
+            });
+        }
+        out.leave(left, &question.horizons, interval);
     }
-    if matches!(out.status, Status::TooEarly | Status::Passed) {
-        return Outlook {
-            alarms: track.alarms.clone(),
-            ..out
-        };
-    }
-    let left = fleet.map_or_else(|| without_fleet(track), |f| f.left(track));
-    let interval = track.filter.prior().interval;
-    let soon = left.within(interval);
-    if soon > question.risk {
-        let text = format!("P(threshold within {interval:.3}, the usual time to the next test) is {soon:.3}");
-        track.alarms.push(Alarm {
-            kind: Kind::Risk,
-            at: track.at,
-            probability: soon,
-            since: (track.at, track.at),
-            text,
-        });
-    }
-    out.leave(left, &question.horizons, interval);
-    Outlook {
-        alarms: track.alarms.clone(),
-        ..out
-    }
+    out.alarms.clone_from(&track.alarms);
+    out
 }
 
 /// Whether anything can be told, and why not.
@@ -262,7 +223,7 @@ fn judged(history: &History, track: &Track) -> (Status, String) {
             format!("{} tests with an interval; allowed: at least {LEAST_TESTS}", track.used),
         );
     }
-    let (x, sd) = track.filter.moments()[0];
+    let (x, sd) = track.filter.damage();
     if x > 1.0 - PASSED_SD * sd {
         return (Status::Passed, "the threshold is passed".into());
     }
@@ -273,12 +234,8 @@ fn judged(history: &History, track: &Track) -> (Status, String) {
             format!("{n} tests with an interval since the last repair; allowed: at least {LEAST_TESTS}"),
         );
     }
-    let (late, three) = track.unexplained();
-    if three || late > OFTEN {
-        return (
-            Status::Doubtful,
-            format!("{late} of the last 20 tests are unexplained: another defect may grow"),
-        );
+    if let Some(why) = track.another_defect() {
+        return (Status::Doubtful, why);
     }
     (Status::Ok, String::new())
 }

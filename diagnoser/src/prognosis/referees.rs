@@ -179,7 +179,7 @@ impl Case {
             let (sd, level) = (self.sd, y.abs());
             filter.step(dt, Some(Reading::Damage { y, sd, level }));
         }
-        let (mean, sd) = filter.moments()[1];
+        let (mean, sd) = filter.rho();
         Verdict {
             mean,
             sd,
@@ -543,7 +543,7 @@ fn covered(models: &[Model], cases: u64, seed: u64) -> (u32, f64, f64) {
             .map(|c| c.weight * normal_cdf((rho - c.rho) / c.prr.sqrt()))
             .sum();
         inside += u32::from((0.05..=0.95).contains(&below));
-        let (mean, sd) = filter.moments()[1];
+        let (mean, sd) = filter.rho();
         first += (rho - mean) / sd / cases as f64;
         second += ((rho - mean) / sd).powi(2) / cases as f64;
     }

@@ -1,6 +1,6 @@
 //! Lives that went before: how long those lasted that were alike (residual similarity).
 
-use super::special::normal_quantile;
+use super::special::{evenly, normal_quantile};
 use serde::{Deserialize, Serialize};
 
 /// Damage over time since new or since the last repair.
@@ -114,53 +114,78 @@ impl Life {
     }
 }
 
-/// Time left of the finished `lives` that were alike, as `samples` ascending times; none where none can be compared.
-pub fn similar<'a>(own: &Life, lives: impl Iterator<Item = &'a Life>, kernel: Kernel, samples: usize) -> Vec<f64> {
-    let (Some(&now), Some(&x)) = (own.t.last(), own.x.last()) else {
-        return Vec::new();
-    };
-    // time left and weight
-    let mut points: Vec<(f64, f64)> = Vec::new();
-    for l in lives {
-        let Some(end) = l.end else { continue };
-        if x < EARLY {
-            if end > now {
-                let d = (l.at(now) - x) / (0.5 * EARLY + 0.4 * x);
-                points.push((end - now, (-0.5 * d * d).exp() + 1e-6));
+/// How one of the finished lives compares with a unit's.
+#[derive(Clone, Copy, Debug)]
+pub struct Likeness {
+    /// time that was left of it, at the unit's pace
+    left: f64,
+    /// what they are told apart by
+    by: By,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum By {
+    /// damage at the same age [widths]
+    Level(f64),
+    /// logarithm of its speed over the unit's, mean and variance along the life
+    Speed(f64, f64),
+}
+
+impl Likeness {
+    /// Of all finished `lives` with the unit's.
+    pub fn of<'a>(own: &Life, lives: impl Iterator<Item = &'a Life>) -> Vec<Self> {
+        let (Some(&now), Some(&x)) = (own.t.last(), own.x.last()) else {
+            return Vec::new();
+        };
+        let compared = |l: &Life| {
+            let end = l.end?;
+            if x < EARLY {
+                let by = By::Level((l.at(now) - x) / (0.5 * EARLY + 0.4 * x));
+                return (end > now).then_some(Self { left: end - now, by });
             }
-            continue;
-        }
-        let Some(t) = l.when(x) else { continue };
-        let floor = 0.02 * now.max(t).max(1e-300);
-        let pairs = LEVELS
-            .iter()
-            .filter_map(|f| Some((now - own.when(f * x)?, t - l.when(f * x)?)));
-        // how much faster the other one was, level by level, and by its age
-        let ratios: Vec<f64> = pairs
-            .chain([(now, t)])
-            .map(|(a, b)| ((a + floor) / (b + floor)).ln())
-            .collect();
-        let n = ratios.len() as f64;
-        let mean = ratios.iter().sum::<f64>() / n;
-        let scatter = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / n;
-        let weight = (-0.5 * ((mean / kernel.speed).powi(2) + scatter / (kernel.shape * kernel.shape))).exp() + 1e-9;
-        points.push(((end - t).max(1e-3 * end) * mean.exp(), weight));
+            let t = l.when(x)?;
+            let floor = 0.02 * now.max(t).max(1e-300);
+            let pairs = LEVELS
+                .iter()
+                .filter_map(|f| Some((now - own.when(f * x)?, t - l.when(f * x)?)));
+            // level by level, and by the age
+            let ratios: Vec<f64> = pairs
+                .chain([(now, t)])
+                .map(|(a, b)| ((a + floor) / (b + floor)).ln())
+                .collect();
+            let n = ratios.len() as f64;
+            let mean = ratios.iter().sum::<f64>() / n;
+            let scatter = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / n;
+            let left = (end - t).max(1e-3 * end) * mean.exp();
+            let by = By::Speed(mean, scatter);
+            Some(Self { left, by })
+        };
+        lives.filter_map(compared).collect()
     }
+
+    fn weight(&self, kernel: Kernel) -> f64 {
+        match self.by {
+            By::Level(d) => (-0.5 * d * d).exp() + 1e-6,
+            By::Speed(mean, scatter) => {
+                (-0.5 * ((mean / kernel.speed).powi(2) + scatter / (kernel.shape * kernel.shape))).exp() + 1e-9
+            }
+        }
+    }
+}
+
+/// Time left of the lives that were alike, as `samples` ascending times; none where none could be compared.
+pub fn similar(lives: &[Likeness], kernel: Kernel, samples: usize) -> Vec<f64> {
+    let mut points: Vec<(f64, f64)> = lives.iter().map(|l| (l.left, l.weight(kernel))).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     let total: f64 = points.iter().map(|p| p.1).sum();
-    let Some(first) = points.first() else { return Vec::new() };
-    let (mut i, mut cumulated) = (0, first.1 / total);
-    let mut out = Vec::with_capacity(samples);
-    for k in 0..samples {
-        let u = (k as f64 + 0.5) / samples as f64;
-        while u > cumulated && i + 1 < points.len() {
-            i += 1;
-            cumulated += points[i].1 / total;
-        }
-        // golden steps through the kernel
-        let z = normal_quantile((k as f64 * 0.618_033_988_749_895).fract().clamp(0.001, 0.999));
-        out.push(points[i].0 * (kernel.left * z).exp());
-    }
+    let chosen = evenly(points.iter().map(|p| p.1 / total), samples);
+    // golden steps through the kernel
+    let z = |k: usize| normal_quantile((k as f64 * 0.618_033_988_749_895).fract().clamp(0.001, 0.999));
+    let mut out: Vec<f64> = chosen
+        .iter()
+        .enumerate()
+        .map(|(k, i)| points[*i].0 * (kernel.left * z(k)).exp())
+        .collect();
     out.sort_by(f64::total_cmp);
     out
 }
@@ -183,9 +208,10 @@ mod tests {
                 ..straight(s, 0.99)
             })
             .into();
-        let left = similar(&straight(0.01, 0.5), lives.iter(), Kernel::BROAD, 101);
+        let own = straight(0.01, 0.5);
+        let left = similar(&Likeness::of(&own, lives.iter()), Kernel::BROAD, 101);
         assert!((left[50] - 50.0).abs() < 5.0, "{}", left[50]);
-        assert!(similar(&straight(0.01, 0.5), [].iter(), Kernel::NARROW, 10).is_empty());
+        assert!(similar(&Likeness::of(&own, [].iter()), Kernel::NARROW, 10).is_empty());
         assert!(lives[0].is_sound() && lives[0].thinned(10).is_sound() && lives[0].thinned(10).t.len() == 10);
     }
 }

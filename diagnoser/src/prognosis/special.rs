@@ -1,4 +1,36 @@
-//! Functions of the normal and the compound Poisson distributions.
+//! Functions of the normal and the compound Poisson distributions, and of lists of numbers.
+
+/// The middle one of numbers in any order, the upper one of two; none of none.
+pub fn middle(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// Where the greatest of some numbers stands, the last one of equals.
+pub fn greatest(values: &[f64]) -> usize {
+    let by = |a: &usize, b: &usize| values[*a].total_cmp(&values[*b]);
+    (0..values.len()).max_by(by).unwrap_or(0)
+}
+
+/// As many of weighted points as stand for their distribution, in their order: those at its evenly spaced quantiles.
+/// * `weights` of `n` points, which add up to 1
+pub fn evenly(weights: impl Iterator<Item = f64>, n: usize) -> Vec<usize> {
+    let mut weights = weights;
+    let Some(mut cumulated) = weights.next() else {
+        return Vec::new();
+    };
+    let mut at = 0;
+    let quantile = |k: usize| (k as f64 + 0.5) / n as f64;
+    let mut next = |k: usize| {
+        while quantile(k) > cumulated {
+            let Some(w) = weights.next() else { break };
+            at += 1;
+            cumulated += w;
+        }
+        at
+    };
+    (0..n).map(&mut next).collect()
+}
 
 /// ln of the normal density at `e` with variance `v`.
 pub fn log_normal(e: f64, v: f64) -> f64 {

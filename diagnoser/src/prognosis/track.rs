@@ -5,6 +5,7 @@ use super::history::{Ended, Happening, History, Row, Scale};
 use super::law::Family;
 use super::prior::Prior;
 use super::similar::Life;
+use super::special::{greatest, middle};
 use std::sync::Arc;
 
 /// A fall of the level that is a repair: standard deviations, and share of the damage, in two tests (assumed).
@@ -32,7 +33,7 @@ const CHANGED_GROWTH: f64 = 0.01;
 const CHANGED_SD: f64 = 6.0;
 
 /// Unexplained tests of the last 20 that are an alarm: more than so many, a fifth.
-pub(super) const OFTEN: usize = 4;
+const OFTEN: usize = 4;
 
 /// A jump of otherwise even wear [share of U].
 const JUMP: f64 = 0.05;
@@ -177,11 +178,12 @@ pub struct Track {
     /// time, damage and logarithm of the rate after each update
     updates: Vec<(f64, f64, f64)>,
     first: Vec<f64>,
+    /// damage at the beginning of the life, once enough tests have seen it
+    start: Option<f64>,
     onset: bool,
     /// a fall that one test has seen: when, the damage then, the bound that it fell below, the damage before
     suspect: Option<(f64, f64, f64, f64)>,
     segment: u32,
-    unexplained: Vec<bool>,
     wrong: f64,
     next_event: usize,
 }
@@ -203,10 +205,10 @@ impl Track {
             begun: 0.0,
             updates: Vec::new(),
             first: Vec::new(),
+            start: None,
             onset: false,
             suspect: None,
             segment: 0,
-            unexplained: Vec::new(),
             wrong: 0.0,
             next_event: 0,
         }
@@ -244,18 +246,17 @@ impl Track {
         self.wrong
     }
 
-    /// Tests that found another defect: how many of the last 20, and whether the last three.
-    pub fn unexplained(&self) -> (usize, bool) {
-        let n = self.unexplained.len();
-        let late = &self.unexplained[n.saturating_sub(20)..];
-        let three = n >= 3 && self.unexplained[n - 3..].iter().all(|u| *u);
-        (late.iter().filter(|u| **u).count(), three)
+    /// Where too many tests of late have found another defect: that, in words.
+    pub fn another_defect(&self) -> Option<String> {
+        let found = |t: &&Trend| t.ended == Ended::Unexplained;
+        let late = self.trends.iter().rev().take(20).filter(found).count();
+        let three = self.trends.iter().rev().take(3).filter(found).count() == 3;
+        (three || late > OFTEN).then(|| format!("{late} of the last 20 tests are unexplained: another defect may grow"))
     }
 
-    /// Groups of wear and band of damage that a fleet's lessons go by.
+    /// The group of wears that a fleet's lessons go by.
     pub fn group(&self) -> usize {
-        let g = self.filter.groups();
-        (0..g.len()).max_by(|a, b| g[*a].total_cmp(&g[*b])).unwrap_or(0)
+        greatest(&self.filter.groups())
     }
 
     /// Whether the unit was new, or had just been repaired, when its life began to be seen.
@@ -272,6 +273,7 @@ impl Track {
         self.begun = at;
         self.life = Life::default();
         self.first.clear();
+        self.start = None;
         self.onset = false;
         self.change = None;
         self.since_repair = 0;
@@ -287,7 +289,6 @@ impl Track {
             (row.at - self.at).max(0.0)
         };
         self.at = row.at;
-        self.unexplained.push(row.ended == Ended::Unexplained);
         let used = match reading {
             None => {
                 self.filter.step(dt, None);
@@ -302,19 +303,33 @@ impl Track {
                 self.damage(row, dt, y, sd, reading)
             }
         };
+        let (damage, log_rate) = (self.filter.damage(), self.filter.log_rate());
         if used != Used::Nothing && !(used == Used::Outlier && self.suspect.is_some()) {
             self.used += 1;
             self.since_repair += 1;
-            self.noted();
+            self.noted(damage.0, log_rate.0);
         }
-        let changed = self.young().0;
-        self.trend(row, used, changed);
-        self.alarmed(row);
+        self.trends.push(Trend {
+            at: row.at,
+            ended: row.ended,
+            used,
+            damage,
+            log_rate,
+            innovation: if used == Used::Update {
+                self.filter.innovation
+            } else {
+                f64::NAN
+            },
+            changed: self.young().0,
+            law: Family::ALL[greatest(&self.filter.families())],
+            segment: self.segment,
+        });
+        self.alarmed(row, reading);
     }
 
     /// A level: a fall in two tests is a repair, in one a wrong diagnosis.
     fn damage(&mut self, row: &Row, dt: f64, y: f64, sd: f64, reading: Option<Reading>) -> Used {
-        let [(x, px), _] = self.filter.moments();
+        let (x, px) = self.filter.damage();
         let bound = x - (FALL_SD * px.hypot(sd)).max(FALL_SHARE * x);
         // the second test of a fall is held against what was before it
         if self.since_repair >= 3 && y < self.suspect.map_or(bound, |s| s.2) {
@@ -325,15 +340,14 @@ impl Track {
                 return Used::Outlier;
             };
             let before = self.updates.last().map_or(at, |u| u.0);
+            self.filter.repaired(level, UNKNOWN.min(10.0 * sd.max(0.002)));
             // back to where it was before a test that was wrong, and was believed
             let back = |u: &(f64, f64, f64)| (u.1 - y).abs() < 0.25 * (x - y);
             if self.updates.iter().rev().skip(1).take(2).any(back) {
-                self.filter.repaired(level, UNKNOWN.min(10.0 * sd.max(0.002)));
                 self.filter.step(row.at - at, reading);
                 self.life.forget_above(y);
                 return Used::Update;
             }
-            self.filter.repaired(level, UNKNOWN.min(10.0 * sd.max(0.002)));
             self.filter.rebirth(0.3);
             self.filter.step(row.at - at, reading);
             self.restart(before.max(at - self.filter.prior().interval));
@@ -355,13 +369,14 @@ impl Track {
         }
     }
 
-    fn noted(&mut self) {
-        let x = self.filter.moments()[0].0;
+    fn noted(&mut self, x: f64, log_rate: f64) {
         self.life.push(self.at - self.begun, x);
-        let rate = self.filter.log_rate().0;
-        self.updates.push((self.at, x, rate));
+        self.updates.push((self.at, x, log_rate));
         if self.first.len() < FIRST {
             self.first.push(x);
+            if self.first.len() == FIRST {
+                self.start = middle(self.first.clone());
+            }
         }
     }
 
@@ -380,26 +395,6 @@ impl Track {
         (mass, if mass > 0.0 { at / mass } else { 0.0 }, lo.min(now), hi)
     }
 
-    fn trend(&mut self, row: &Row, used: Used, changed: f64) {
-        let f = self.filter.families();
-        let best = (0..f.len()).max_by(|a, b| f[*a].total_cmp(&f[*b])).unwrap_or(0);
-        self.trends.push(Trend {
-            at: row.at,
-            ended: row.ended,
-            used,
-            damage: self.filter.moments()[0],
-            log_rate: self.filter.log_rate(),
-            innovation: if used == Used::Update {
-                self.filter.innovation
-            } else {
-                f64::NAN
-            },
-            changed,
-            law: Family::ALL[best],
-            segment: self.segment,
-        });
-    }
-
     fn alarm(&mut self, kind: Kind, probability: f64, since: (f64, f64), text: String) {
         self.alarms.push(Alarm {
             kind,
@@ -410,34 +405,26 @@ impl Track {
         });
     }
 
-    fn alarmed(&mut self, row: &Row) {
+    fn alarmed(&mut self, row: &Row, reading: Option<Reading>) {
         if row.ended == Ended::Unexplained {
-            let (late, three) = self.unexplained();
             let again = self.alarms.iter().rev().find(|a| a.kind == Kind::UnexplainedRun);
             let quiet = again.is_none_or(|a| self.trends.iter().rev().take(20).all(|t| t.at > a.at));
-            if quiet && (three || late > OFTEN) {
-                let text = format!("{late} of the last 20 tests are unexplained: another defect may grow");
+            if let (true, Some(text)) = (quiet, self.another_defect()) {
                 self.alarm(Kind::UnexplainedRun, 1.0, (row.at, row.at), text);
             }
             return;
         }
-        let Some(&(_, x, rate)) = self.updates.last() else {
+        let (Some(&(_, x, rate)), Some(start)) = (self.updates.last(), self.start) else {
             return;
         };
-        if self.suspect.is_some() || self.first.len() < FIRST {
+        if self.suspect.is_some() {
             return;
         }
-        let mut first = self.first.clone();
-        first.sort_by(f64::total_cmp);
-        let start = first[FIRST / 2];
         let noise = self.stated;
         let bound = ONSET.max(ONSET_SD * noise);
         let before = self.updates.iter().rev().nth(1).map_or(x, |u| u.1);
         // seen by this test as well as believed: a wrong one before it raises what is believed
-        let seen = self
-            .scale
-            .reading(row)
-            .is_none_or(|r| !matches!(r, Reading::Damage { y, .. } if y - start <= bound));
+        let seen = !matches!(reading, Some(Reading::Damage { y, .. }) if y - start <= bound);
         if !self.onset && seen && x - start > bound && before - start > bound {
             self.onset = true;
             if start < NEW {

@@ -4,10 +4,10 @@ use super::say;
 use crate::Interrupted;
 use crate::prognosis::learn::{Ends, Unit, learn, units_of};
 use crate::prognosis::page::report;
-use crate::prognosis::read::{End, Test, Units, events, history, truths};
+use crate::prognosis::read::{End, Sheet, Test, events, truths};
 use crate::prognosis::score::{Scored, score, to_json as score_json, to_text as score_text};
 use crate::prognosis::words::{text, to_json};
-use crate::prognosis::{Asked, Clock, Events, Threshold, Told, history_of, learn as fleet_file, outlooks, tables};
+use crate::prognosis::{Asked, Clock, Events, Threshold, Told, clock_of, learn as fleet_file, outlooks, tables};
 use crate::progress::{interrupted, note};
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -145,7 +145,7 @@ pub fn prognosis(c: &PrognosisCommand) -> Result<ExitCode> {
 }
 
 /// Thresholds that are named, or those that are usual for the faults that a table has.
-fn thresholds(w: &WhatArgs, history_file: &Path, from_truth: Vec<Threshold>) -> Result<Vec<Threshold>> {
+fn thresholds(w: &WhatArgs, table: &Sheet, from_truth: Vec<Threshold>) -> Result<Vec<Threshold>> {
     let named = w.threshold.iter().map(|text| {
         let (fault, level) = match (text.split_once('='), &w.column) {
             (Some((f, l)), _) => (f.trim().to_ascii_lowercase(), l),
@@ -191,11 +191,7 @@ fn thresholds(w: &WhatArgs, history_file: &Path, from_truth: Vec<Threshold>) -> 
         .into());
     }
     let usual = [("fsj", 4.0), ("zeta", 0.4)].map(|(f, l)| Threshold::new(f, l, None));
-    let has = |t: &Threshold| {
-        history(history_file, std::slice::from_ref(&t.fault))
-            .is_ok_and(|u| u.values().flatten().any(|t| t.levels[0].lo.is_some()))
-    };
-    let found: Vec<Threshold> = usual.into_iter().filter(has).collect();
+    let found: Vec<Threshold> = usual.into_iter().filter(|t| table.has(&t.fault)).collect();
     if found.is_empty() {
         let allowed = "--threshold, with the column that it is for in the table";
         return Err(Error::bad("command line", "--threshold", "nothing", allowed).into());
@@ -226,64 +222,51 @@ fn fleets_of(path: Option<&Path>) -> Result<Vec<Fleet>> {
 
 fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
     let file = a.history.clone().unwrap_or_default();
-    let asked = asked(&a.what, thresholds(&a.what, &file, Vec::new())?, a.risk, a.horizon);
-    let faults: Vec<String> = asked.thresholds.iter().map(|t| t.fault.clone()).collect();
+    let mut size = std::fs::metadata(&file).map_or(0, |m| m.len());
+    let mut table = Sheet::read(&file)?;
+    let asked = asked(&a.what, thresholds(&a.what, &table, Vec::new())?, a.risk, a.horizon);
     let fleets = fleets_of(a.fleet.as_deref())?;
-    let mut size = 0;
     let mut said: BTreeMap<(String, String), usize> = BTreeMap::new();
     loop {
-        let now = std::fs::metadata(&file).map_or(0, |m| m.len());
-        if now != size {
-            size = now;
-            let units = history(&file, &faults)?;
-            let events = events_of(&a.what)?;
-            let told = outlooks(&file.display().to_string(), &units, &events, &asked, &fleets)?;
-            let new = told.iter().filter(|t| {
-                let key = (t.outlook.actuator.clone(), t.threshold.fault.clone());
-                said.insert(key, t.outlook.tests) != Some(t.outlook.tests)
-            });
-            for t in new {
-                say(&if a.json { to_json(t).to_string() } else { text(t) + "\n" });
-            }
-            if let Some(dir) = &a.out {
-                written(dir, &told, &units, &events, &asked, &fleets, a.json)?;
-            }
+        let units = table.history(&asked.faults())?;
+        let told = outlooks(
+            &file.display().to_string(),
+            &units,
+            &events_of(&a.what)?,
+            &asked,
+            &fleets,
+        )?;
+        let new = told.iter().filter(|t| {
+            let key = (t.outlook.actuator.clone(), t.threshold.fault.clone());
+            said.insert(key, t.outlook.tests) != Some(t.outlook.tests)
+        });
+        for t in new {
+            say(&if a.json { to_json(t).to_string() } else { text(t) + "\n" });
+        }
+        if let Some(dir) = &a.out {
+            written(dir, &told, &fleets, a.json)?;
         }
         if !a.follow {
             return Ok(ExitCode::SUCCESS);
         }
-        std::thread::sleep(Duration::from_millis(300));
-        if interrupted() {
-            return Err(Interrupted.into());
+        let grown = |size: &mut u64| {
+            let now = std::fs::metadata(&file).map_or(0, |m| m.len());
+            std::mem::replace(size, now) != now
+        };
+        while !grown(&mut size) {
+            std::thread::sleep(Duration::from_millis(300));
+            if interrupted() {
+                return Err(Interrupted.into());
+            }
         }
+        table = Sheet::read(&file)?;
     }
 }
 
-fn written(
-    dir: &Path,
-    told: &[Told],
-    units: &Units,
-    events: &Events,
-    asked: &Asked,
-    fleets: &[Fleet],
-    quiet: bool,
-) -> Result<()> {
+fn written(dir: &Path, told: &[Told], fleets: &[Fleet], quiet: bool) -> Result<()> {
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
     tables::write(dir, told)?;
-    let none = Vec::new();
-    let of = |t: &Told| {
-        let index = asked.thresholds.iter().position(|x| x.fault == t.threshold.fault)?;
-        let name = &t.outlook.actuator;
-        history_of(
-            name,
-            units.get(name)?,
-            events.get(name).unwrap_or(&none),
-            (&t.threshold.fault, index),
-            t.clock,
-        )
-        .ok()
-    };
-    let pages = crate::report::write(&report(told, fleets, &of), dir, "report.html")?;
+    let pages = crate::report::write(&report(told, fleets), dir, "report.html")?;
     if !quiet {
         say(&format!(
             "wrote     {}, trends, prognoses, alarms (.parquet) beside it",
@@ -293,20 +276,16 @@ fn written(
     Ok(())
 }
 
-/// All histories of a command, units of different files apart; and the ends that are told of them.
-fn all_of(files: &[PathBuf], faults: &[String]) -> Result<Vec<(String, Vec<Test>)>> {
-    let mut all: Vec<(String, Vec<Test>)> = Vec::new();
-    for f in files {
-        all.extend(history(f, faults)?);
-    }
-    Ok(all)
+/// All files of a command.
+fn tables_of(files: &[PathBuf]) -> Result<Vec<Sheet>> {
+    files.iter().map(|f| Sheet::read(f)).collect()
 }
 
 fn learned(a: &LearnArgs) -> Result<ExitCode> {
     let truth = a.truth.as_deref().map(truths).transpose()?.unwrap_or_default();
-    let thresholds = thresholds(&a.what, &a.history[0], Vec::new())?;
-    let asked = asked(&a.what, thresholds, 0.01, None);
-    let (units, clock) = units_by_fault(&a.history, &a.what, &asked, &truth)?;
+    let files = tables_of(&a.history)?;
+    let asked = asked(&a.what, thresholds(&a.what, &files[0], Vec::new())?, 0.01, None);
+    let (units, clock) = units_by_fault(&files, &a.what, &asked, None, &truth)?;
     let mut fleets = Vec::new();
     let mut n = 0;
     for (t, units) in asked.thresholds.iter().zip(&units) {
@@ -335,17 +314,21 @@ fn learned(a: &LearnArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Units with their ends, by threshold.
+/// Units with their ends, those of different files apart, by threshold.
 fn units_by_fault(
-    files: &[PathBuf],
+    files: &[Sheet],
     w: &WhatArgs,
     asked: &Asked,
+    fleet: Option<&Fleet>,
     truth: &BTreeMap<String, Vec<End>>,
 ) -> Result<(Vec<Vec<Unit>>, Clock)> {
-    let faults: Vec<String> = asked.thresholds.iter().map(|t| t.fault.clone()).collect();
-    let all = all_of(files, &faults)?;
+    let mut all: Vec<(String, Vec<Test>)> = Vec::new();
+    for f in files {
+        all.extend(f.history(&asked.faults())?);
+    }
     let events = events_of(w)?;
-    let clock = fleet_file::clock(&files[0].display().to_string(), &all, &events, asked)?;
+    let tests: Vec<(&String, &Vec<Test>)> = all.iter().map(|(name, tests)| (name, tests)).collect();
+    let clock = clock_of(files[0].file(), &tests, &events, asked, fleet)?;
     let of = |(i, t): (usize, &Threshold)| units_of(&all, &events, truth, (t, i), clock);
     Ok((asked.thresholds.iter().enumerate().map(of).collect(), clock))
 }
@@ -371,10 +354,10 @@ fn named_in(truth: &BTreeMap<String, Vec<End>>) -> Vec<Threshold> {
 
 fn scored(a: &ScoreArgs) -> Result<ExitCode> {
     let truth = truths(&a.truth)?;
-    let thresholds = thresholds(&a.what, &a.history[0], named_in(&truth))?;
+    let files = tables_of(&a.history)?;
     let fleets = fleets_of(a.fleet.as_deref())?;
-    let asked = asked(&a.what, thresholds, 0.01, None);
-    let (units, _) = units_by_fault(&a.history, &a.what, &asked, &truth)?;
+    let asked = asked(&a.what, thresholds(&a.what, &files[0], named_in(&truth))?, 0.01, None);
+    let (units, _) = units_by_fault(&files, &a.what, &asked, fleets.first(), &truth)?;
     let mut rows = String::from("fault,unit,lambda,truth,median,lo,hi,crps\n");
     let mut objects = Vec::new();
     for (t, units) in asked.thresholds.iter().zip(&units) {

@@ -1,12 +1,13 @@
 //! What a fleet teaches: its prior, its lives, the calibration of its forecasts.
 
 use super::read::{End, Test};
-use super::{Asked, Clock, Events, Threshold, clock_of, history_of, scale_of};
+use super::{Clock, Events, Threshold, history_of, of_unit, scale_of};
 use crate::Interrupted;
 use crate::progress::interrupted;
 use anyhow::Result;
-use diagnoser::prognosis::fleet::{Gathered, Shot, shot};
+use diagnoser::prognosis::fleet::{Gathered, Shot, shot, without_fleet};
 use diagnoser::prognosis::forecast::quantile;
+use diagnoser::prognosis::special::middle;
 use diagnoser::prognosis::{Fleet, History, Life, Prior, Scale, Track};
 use rayon::prelude::*;
 use schemas::error::{Error, write_whole};
@@ -60,9 +61,8 @@ pub fn units_of(
     (t, index): (&Threshold, usize),
     clock: Clock,
 ) -> Vec<Unit> {
-    let none = Vec::new();
     let of = |(name, tests): &(String, Vec<Test>)| {
-        let mut history = history_of(name, tests, events.get(name).unwrap_or(&none), (&t.fault, index), clock).ok()?;
+        let mut history = history_of(name, tests, of_unit(events, name), (&t.fault, index), clock).ok()?;
         let scale = scale_of(&history, t)?;
         let mine = truths.get(name).into_iter().flatten();
         let of_fault =
@@ -87,9 +87,8 @@ pub fn units_of(
 /// # Errors
 /// Interrupted.
 pub fn learn(units: &[Unit], t: &Threshold, clock: Clock) -> Result<(Fleet, Ends)> {
-    let mut intervals: Vec<f64> = units.iter().filter_map(|u| u.history.interval()).collect();
-    intervals.sort_by(f64::total_cmp);
-    let shipped = Prior::shipped(intervals.get(intervals.len() / 2).copied().unwrap_or(1.0));
+    let intervals = units.iter().filter_map(|u| u.history.interval()).collect();
+    let shipped = Prior::shipped(middle(intervals).unwrap_or(1.0));
     let first = Arc::new(shipped.clone());
     let tracks: Vec<Track> = units
         .par_iter()
@@ -161,7 +160,7 @@ fn thinned(lives: Vec<(usize, f64, Life)>) -> Vec<(usize, f64, Life)> {
 }
 
 /// Forecasts that would have been made of a unit over its last life.
-fn past<'a, I: Iterator<Item = &'a Life> + Clone>(
+fn past<'a, I: Iterator<Item = &'a Life>>(
     u: &Unit,
     unit: usize,
     end: f64,
@@ -188,9 +187,8 @@ fn past<'a, I: Iterator<Item = &'a Life> + Clone>(
         }
         track.read(&u.history, i);
     }
-    while next < FORECASTS {
+    if next < FORECASTS {
         out.push(shot(unit, &track, others(), (end - track.at).max(1e-9)));
-        next += FORECASTS;
     }
     out
 }
@@ -225,9 +223,9 @@ fn end_of(u: &Unit, track: &Track) -> (Option<f64>, How) {
         };
         return (Some(t0 + f * (t1 - t0)), How::Crossed);
     }
-    let x = track.filter.moments()[0].0;
+    let x = track.filter.damage().0;
     if x > NEARLY {
-        let left = diagnoser::prognosis::fleet::without_fleet(track);
+        let left = without_fleet(track);
         let median = quantile(&left.times, 0.5);
         if median <= (AT_ONCE * (track.at - track.begun())).max(2.0 * track.filter.prior().interval) {
             return (Some(track.at + median), How::Extrapolated);
@@ -272,12 +270,4 @@ pub fn read(path: &Path) -> Result<Vec<Fleet>> {
         return Err(Error::bad(file, "fleets", "masses or lives that no fleet has", allowed).into());
     }
     Ok(fleets)
-}
-
-/// The clock of several histories together.
-///
-/// # Errors
-/// As [`clock_of`].
-pub fn clock(file: &str, all: &[(String, Vec<Test>)], events: &Events, asked: &Asked) -> Result<Clock> {
-    clock_of(file, &all.iter().cloned().collect(), events, asked, None)
 }

@@ -8,14 +8,19 @@ pub mod tables;
 pub mod words;
 
 use anyhow::Result;
+use clap::ValueEnum;
 use diagnoser::prognosis::fleet::Left;
 use diagnoser::prognosis::outlook::{Question, outlook};
+use diagnoser::prognosis::special::middle;
 use diagnoser::prognosis::{Ended, Fleet, Happening, History, Outlook, Prior, Row, Scale, Status, Track};
 use rayon::prelude::*;
 use read::{Event, Level, Moment, Test, Units};
 use schemas::error::Error;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+
+/// Units by which clocks are compared at most.
+const COMPARED: usize = 40;
 
 /// In what time is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -39,6 +44,11 @@ impl Clock {
             Self::Hour => "hour",
             Self::Day => "day",
         }
+    }
+
+    /// Whether it counts flights or cycles, and no time of day.
+    fn is_counted(self) -> bool {
+        matches!(self, Self::Flight | Self::Cycle)
     }
 
     /// The time of a moment by this clock.
@@ -99,6 +109,21 @@ pub struct Asked {
     pub horizons: Vec<f64>,
 }
 
+impl Asked {
+    /// Faults and columns, in the order of their thresholds.
+    pub fn faults(&self) -> Vec<String> {
+        self.thresholds.iter().map(|t| t.fault.clone()).collect()
+    }
+}
+
+/// Events by unit.
+pub type Events = BTreeMap<String, Vec<Event>>;
+
+/// What happened to one unit.
+fn of_unit<'a>(events: &'a Events, name: &str) -> &'a [Event] {
+    events.get(name).map_or(&[], Vec::as_slice)
+}
+
 /// One unit and threshold, and what is told of it.
 pub struct Told {
     /// the threshold
@@ -111,8 +136,8 @@ pub struct Told {
     pub days: Option<f64>,
     /// what is told
     pub outlook: Outlook,
-    /// test by test; none where it was refused before
-    pub track: Option<Track>,
+    /// its tests, and what was made of them one by one; none where it was refused before
+    pub track: Option<(History, Track)>,
     /// what happened to it
     pub events: Vec<(f64, String)>,
 }
@@ -177,18 +202,12 @@ fn with_widths(rows: &mut [Row]) {
     }
     let mut ordered: Vec<(f64, f64)> = rows.iter().filter_map(|r| Some((r.at, r.estimate?))).collect();
     ordered.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut seconds: Vec<f64> = ordered
-        .windows(3)
-        .map(|w| (w[0].1 - 2.0 * w[1].1 + w[2].1).abs())
-        .collect();
-    seconds.sort_by(f64::total_cmp);
+    let seconds = ordered.windows(3).map(|w| (w[0].1 - 2.0 * w[1].1 + w[2].1).abs());
     let span = ordered
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |a, v| (a.0.min(v.1), a.1.max(v.1)));
     // median of second differences of white noise: 0.6745 sqrt(6) sd
-    let scatter = seconds
-        .get(seconds.len() / 2)
-        .map_or(0.0, |m| m / (0.6745 * 6f64.sqrt()));
+    let scatter = middle(seconds.collect()).map_or(0.0, |m| m / (0.6745 * 6f64.sqrt()));
     let sd = scatter.max(1e-4 * (span.1 - span.0).max(0.0));
     for r in rows.iter_mut().filter(|r| is_bare(r)) {
         let e = r.estimate.unwrap_or(0.0);
@@ -199,9 +218,8 @@ fn with_widths(rows: &mut [Row]) {
 /// The scale of a unit: its healthy level is the one that is said, or the median of its first five tests.
 pub fn scale_of(h: &History, t: &Threshold) -> Option<Scale> {
     let healthy = t.healthy.or_else(|| {
-        let mut first: Vec<f64> = h.rows.iter().filter_map(|r| r.middle()).map(|m| m.0).take(5).collect();
-        first.sort_by(f64::total_cmp);
-        first.get(first.len() / 2).copied()
+        let levels = h.rows.iter().filter_map(|r| r.middle()).map(|m| m.0);
+        middle(levels.take(5).collect())
     })?;
     let apart = (t.level - healthy).abs() > 1e-9 * t.level.abs().max(healthy.abs());
     apart.then_some(Scale {
@@ -211,46 +229,48 @@ pub fn scale_of(h: &History, t: &Threshold) -> Option<Scale> {
     })
 }
 
-/// The clock that is asked for, or the one in which laws fit better where there are two.
+/// Units with their tests.
+pub type Tests<'a> = [(&'a String, &'a Vec<Test>)];
+
+/// The clock that is asked for, or that of the fleet, or the one in which laws fit better where there are two.
 ///
 /// # Errors
-/// A clock that the table does not have.
-pub fn clock_of(file: &str, units: &Units, events: &Events, asked: &Asked, fleet: Option<&Fleet>) -> Result<Clock> {
-    let has = |c: Clock| units.values().flatten().all(|t| c.of(t.moment).is_some());
-    let learned = fleet.and_then(|f| {
-        [Clock::Flight, Clock::Cycle, Clock::Hour, Clock::Day]
-            .into_iter()
-            .find(|c| c.name() == f.clock)
-    });
-    if let Some(c) = asked.clock.or(learned) {
+/// A clock that the table does not have, or in which the fleet was not learned.
+pub fn clock_of(file: &str, units: &Tests<'_>, events: &Events, asked: &Asked, fleet: Option<&Fleet>) -> Result<Clock> {
+    let moments = || units.iter().flat_map(|u| u.1).map(|t| t.moment);
+    let has = |c: Clock| moments().all(|m| c.of(m).is_some());
+    let learned = fleet.and_then(|f| Clock::value_variants().iter().find(|c| c.name() == f.clock));
+    if let (Some(c), Some(l)) = (asked.clock, learned)
+        && c.is_counted() != l.is_counted()
+    {
+        let allowed = format!("{}, in which the fleet was learned", l.name());
+        return Err(Error::bad("command line", "--clock", c.name(), allowed).into());
+    }
+    if let Some(c) = asked.clock.or(learned.copied()) {
         if !has(c) {
             let allowed = "a value in every row";
             return Err(Error::bad(file, format!("clock `{}`", c.name()), "rows without it", allowed).into());
         }
         return Ok(c);
     }
-    let dated = units.values().flatten().all(|t| t.moment.day.is_some());
+    let dated = moments().all(|m| m.day.is_some());
     match (has(Clock::Cycle), dated) {
         (true, false) => Ok(Clock::Cycle),
         (false, true) => Ok(Clock::Day),
         (true, true) => {
             // densities of the same levels: they can be compared
-            let evidence = |c: Clock| -> f64 {
-                let of = |(name, tests): (&String, &Vec<Test>)| {
-                    let none = Vec::new();
-                    let t = &asked.thresholds[0];
-                    let h = history_of(name, tests, events.get(name).unwrap_or(&none), (&t.fault, 0), c).ok()?;
-                    let mut track = Track::new(Arc::new(Prior::shipped(h.interval()?)), scale_of(&h, t)?);
-                    track.read_all(&h);
-                    Some(track.filter.evidence)
-                };
-                let all: Vec<(&String, &Vec<Test>)> = units.iter().take(40).collect();
-                all.into_par_iter().filter_map(of).sum()
+            let t = &asked.thresholds[0];
+            let of = |name: &str, tests: &[Test], c: Clock| {
+                let h = history_of(name, tests, of_unit(events, name), (&t.fault, 0), c).ok()?;
+                let mut track = Track::new(Arc::new(Prior::shipped(h.interval()?)), scale_of(&h, t)?);
+                track.read_all(&h);
+                Some(track.filter.evidence)
             };
-            Ok(if evidence(Clock::Day) > evidence(Clock::Cycle) {
-                Clock::Day
-            } else {
-                Clock::Cycle
+            let some = &units[..units.len().min(COMPARED)];
+            let evidence = |c: Clock| -> f64 { some.par_iter().filter_map(|(name, tests)| of(name, tests, c)).sum() };
+            Ok(match evidence(Clock::Day) > evidence(Clock::Cycle) {
+                true => Clock::Day,
+                false => Clock::Cycle,
             })
         }
         (false, false) => {
@@ -260,22 +280,18 @@ pub fn clock_of(file: &str, units: &Units, events: &Events, asked: &Asked, fleet
     }
 }
 
-/// Events by unit.
-pub type Events = BTreeMap<String, Vec<Event>>;
-
 /// Outlooks of all units and thresholds; where there are several thresholds, also the joint one of each unit.
 ///
 /// # Errors
-/// A clock that the table does not have; a fleet of another fault, threshold or healthy level.
+/// A clock that the table does not have; a fleet of another threshold or clock.
 pub fn outlooks(file: &str, units: &Units, events: &Events, asked: &Asked, fleets: &[Fleet]) -> Result<Vec<Told>> {
     for t in &asked.thresholds {
         fits(t, fleets)?;
     }
-    let clock = clock_of(file, units, events, asked, fleets.first())?;
     let all: Vec<(&String, &Vec<Test>)> = units.iter().collect();
+    let clock = clock_of(file, &all, events, asked, fleets.first())?;
     let told = all.into_par_iter().map(|(name, tests)| {
-        let none = Vec::new();
-        let events = events.get(name).unwrap_or(&none);
+        let events = of_unit(events, name);
         let mut out: Vec<Told> = asked
             .thresholds
             .iter()
@@ -349,7 +365,7 @@ fn told_of(
         horizons: asked.horizons.clone(),
     };
     let (outlook, track) = outlook(&history, &question, fleet);
-    base(Some(scale), outlook, Some(track))
+    base(Some(scale), outlook, Some((history, track)))
 }
 
 /// Days in a unit of the clock over the last twenty tests, where rows have both.
@@ -367,7 +383,6 @@ fn days_of(tests: &[Test], clock: Clock) -> Option<f64> {
 
 /// The first of several thresholds of a unit: samples of each, taken for independent.
 fn joint(of: &[Told]) -> Option<Told> {
-    let told: Vec<(&Told, &Left)> = of.iter().filter_map(|t| Some((t, t.outlook.left.as_ref()?))).collect();
     if let Some(passed) = of.iter().find(|t| t.outlook.status == Status::Passed) {
         let o = &passed.outlook;
         let mut outlook = Outlook::refused(
@@ -379,6 +394,7 @@ fn joint(of: &[Told]) -> Option<Told> {
         (outlook.status, outlook.at, outlook.used) = (Status::Passed, o.at, o.used);
         return Some(together(outlook, passed));
     }
+    let told: Vec<(&Told, &Left)> = of.iter().filter_map(|t| Some((t, t.outlook.left.as_ref()?))).collect();
     if told.len() < 2 {
         return None;
     }
@@ -396,7 +412,7 @@ fn joint(of: &[Told]) -> Option<Told> {
     times.sort_by(f64::total_cmp);
     let first = told[0].0;
     let calibrated = told.iter().map(|t| t.1.calibrated).min().flatten();
-    let rising = told.iter().filter(|t| t.0.outlook.change.is_some()).count() == told.len();
+    let rising = told.iter().all(|t| t.0.outlook.change.is_some());
     let reason = if rising {
         "the rates of all faults have changed: their lives are hardly independent"
     } else {

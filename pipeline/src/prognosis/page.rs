@@ -7,9 +7,11 @@ use crate::COMMIT;
 use crate::report::{Figure, Report, Section, Table, TableRow, TracePlot};
 use diagnoser::prognosis::fleet::{COVERAGE, Fleet, without_fleet};
 use diagnoser::prognosis::forecast::quantile;
+use diagnoser::prognosis::history::Ends;
 use diagnoser::prognosis::law::Family;
-use diagnoser::prognosis::outlook::promise;
-use diagnoser::prognosis::{History, Track};
+use diagnoser::prognosis::outlook::{LEAST_TESTS, promise};
+use diagnoser::prognosis::track::Used;
+use diagnoser::prognosis::{History, Scale, Status, Track};
 use std::sync::Arc;
 
 /// Units with figures of their own, worst first.
@@ -19,8 +21,7 @@ const SHOWN: usize = 6;
 const PAST: usize = 24;
 
 /// The report.
-/// * `histories` that of a unit and fault, for the figure of past forecasts
-pub fn report(told: &[Told], fleets: &[Fleet], histories: &dyn Fn(&Told) -> Option<History>) -> Report {
+pub fn report(told: &[Told], fleets: &[Fleet]) -> Report {
     let sorted = by_risk(told);
     let clock = told.first().map_or(Clock::Cycle, |t| t.clock);
     let mut sections = vec![fleet_section(&sorted, clock)];
@@ -30,9 +31,9 @@ pub fn report(told: &[Told], fleets: &[Fleet], histories: &dyn Fn(&Told) -> Opti
         .take(SHOWN)
     {
         let fleet = fleets.iter().find(|f| f.fault == t.threshold.fault);
-        sections.push(unit_section(t, sections.len(), fleet, histories));
+        sections.push(unit_section(t, sections.len(), fleet));
     }
-    let doubtful = told.iter().filter(|t| t.outlook.status.name() != "ok").count();
+    let doubtful = told.iter().filter(|t| t.outlook.status != Status::Ok).count();
     let summary = format!(
         "{} outlooks; {} of them are not plain (doubtful, too early, passed or refused: the reasons stand in the table). Intervals: {}.",
         told.len(),
@@ -80,7 +81,7 @@ fn fleet_section(sorted: &[&Told], clock: Clock) -> Section {
         ];
         TableRow {
             cells,
-            emphasis: o.status.name() == "passed",
+            emphasis: o.status == Status::Passed,
         }
     };
     let ahead = sorted
@@ -114,22 +115,15 @@ fn fleet_section(sorted: &[&Told], clock: Clock) -> Section {
     }
 }
 
-fn unit_section(
-    t: &Told,
-    number: usize,
-    fleet: Option<&Fleet>,
-    histories: &dyn Fn(&Told) -> Option<History>,
-) -> Section {
+fn unit_section(t: &Told, number: usize, fleet: Option<&Fleet>) -> Section {
     let o = &t.outlook;
     let stem = |what: &str| format!("unit{number}_{what}");
     let mut figures = Vec::new();
-    if let (Some(track), Some(scale)) = (&t.track, t.scale) {
+    if let (Some((history, track)), Some(scale)) = (&t.track, t.scale) {
         figures.push((stem("trend"), Figure::Trace(trend(t, track, scale))));
-        if let Some(h) = histories(t) {
-            let (left, laws) = past(t, track, &h, fleet);
-            figures.push((stem("left"), Figure::Trace(left)));
-            figures.push((stem("laws"), Figure::Trace(laws)));
-        }
+        let (left, laws) = past(t, track, history, fleet);
+        figures.push((stem("left"), Figure::Trace(left)));
+        figures.push((stem("laws"), Figure::Trace(laws)));
         if o.left.is_some() {
             figures.push((stem("cdf"), Figure::Trace(distribution(t))));
         }
@@ -144,17 +138,17 @@ fn unit_section(
     }
 }
 
-fn trend(t: &Told, track: &Track, scale: diagnoser::prognosis::Scale) -> TracePlot {
+fn trend(t: &Told, track: &Track, scale: Scale) -> TracePlot {
     let o = &t.outlook;
-    let level = |z: f64| -> Vec<(f64, f64)> {
-        let used = track.trends.iter().filter(|r| r.used.name() != "none");
-        used.map(|r| (r.at, scale.level(r.damage.0 + z * r.damage.1))).collect()
+    let level = |pick: fn(Ends) -> f64| -> Vec<(f64, f64)> {
+        let used = track.trends.iter().filter(|r| r.used != Used::Nothing);
+        used.map(|r| (r.at, pick(scale.level_of(r.damage)))).collect()
     };
     let first = track.trends.first().map_or(0.0, |r| r.at);
     let mut series = vec![
-        ("level".to_string(), level(0.0)),
-        ("95 %".into(), level(1.96)),
-        ("95 % ".into(), level(-1.96)),
+        ("level".to_string(), level(|e| e.2)),
+        ("95 %".into(), level(|e| e.1)),
+        ("95 % ".into(), level(|e| e.0)),
     ];
     let mut end = o.at;
     if let (Some(l), Some(now)) = (&o.left, o.level) {
@@ -197,7 +191,7 @@ fn past(t: &Told, whole: &Track, history: &History, fleet: Option<&Fleet>) -> (T
     let mut laws: Vec<Vec<(f64, f64)>> = vec![Vec::new(); Family::ALL.len()];
     for i in 0..n {
         track.read(history, i);
-        if (i + 1) % step != 0 && i + 1 != n || track.since_repair < 5 {
+        if (i + 1) % step != 0 && i + 1 != n || track.since_repair < LEAST_TESTS {
             continue;
         }
         let left = fleet.map_or_else(|| without_fleet(&track), |f| f.left(&track));

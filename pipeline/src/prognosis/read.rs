@@ -24,12 +24,16 @@ enum Cell {
     Text(String),
 }
 
-/// A table by its columns' names; `place` says where a row is, for people.
-struct Sheet {
+/// A table by its columns' names, whatever kind of file it comes from.
+pub struct Sheet {
     file: String,
+    /// what units are called that the table has no column for
+    stem: String,
     names: Vec<String>,
     rows: Vec<Vec<Cell>>,
-    place: fn(usize) -> String,
+    /// where a row is, for people: its number, and what is counted
+    places: Vec<u64>,
+    counted: &'static str,
 }
 
 /// A moment of a row.
@@ -91,112 +95,133 @@ pub struct End {
 }
 
 impl Sheet {
-    fn read(path: &Path) -> Result<Self> {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or is no table; another ending than .csv, .jsonl, .json, .ndjson or .parquet.
+    pub fn read(path: &Path) -> Result<Self> {
         let ending = path
             .extension()
             .and_then(|e| e.to_str())
             .unwrap_or_default()
             .to_ascii_lowercase();
-        match ending.as_str() {
-            "csv" => Self::csv(path),
-            "jsonl" | "json" | "ndjson" => Self::json_lines(path),
-            "parquet" => Self::parquet(path),
-            _ => {
-                let allowed = "a table of diagnoses in .csv, .jsonl or .parquet";
-                Err(Error::bad(
-                    path.display().to_string(),
-                    "file",
-                    format!("ending `{ending}`"),
-                    allowed,
-                )
-                .into())
-            }
-        }
-    }
-
-    fn csv(path: &Path) -> Result<Self> {
-        let file = path.display().to_string();
-        let text = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text);
-        let head = reader.headers().map_err(|e| Error::torn(path, e))?.clone();
-        let names: Vec<String> = head
-            .iter()
-            .map(|n| n.trim_start_matches('\u{feff}').to_ascii_lowercase())
-            .collect();
-        let mut rows = Vec::new();
-        let mut record = StringRecord::new();
-        loop {
-            let place = format!("line {}", rows.len() + 2);
-            match reader.read_record(&mut record) {
-                Ok(false) => break,
-                Ok(true) => rows.push(record.iter().map(cell).collect()),
-                Err(e) => return Err(Error::bad(file, place, e, format!("{} columns", names.len())).into()),
-            }
-        }
-        Ok(Self {
-            file,
-            names,
-            rows,
-            place: |i| format!("line {}", i + 2),
-        })
-    }
-
-    fn json_lines(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+        let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
         let mut sheet = Self {
             file: path.display().to_string(),
+            stem: stem.unwrap_or_else(|| "unit".into()),
             names: Vec::new(),
             rows: Vec::new(),
-            place: |i| format!("line {}", i + 1),
+            places: Vec::new(),
+            counted: "line",
         };
-        for (i, line) in text.lines().enumerate() {
-            let value: Value = if line.trim().is_empty() {
-                Value::Null
-            } else {
-                let bad = |e| Error::bad(&sheet.file, format!("line {}", i + 1), e, "a JSON object");
-                serde_json::from_str(line).map_err(bad)?
-            };
-            let mut row = vec![Cell::Nothing; sheet.names.len()];
-            let fields = value.as_object().into_iter().flatten();
-            for (name, v) in fields {
-                // {"fsj": {"lo": ...}} is fsj_lo
-                let parts: Vec<(String, &Value)> = match v {
-                    Value::Object(o) => o.iter().map(|(k, v)| (format!("{name}_{k}"), v)).collect(),
-                    v => vec![(name.clone(), v)],
-                };
-                for (name, v) in parts {
-                    let at = sheet.names.iter().position(|n| *n == name).unwrap_or_else(|| {
-                        sheet.names.push(name.clone());
-                        row.push(Cell::Nothing);
-                        sheet.names.len() - 1
-                    });
-                    row[at] = match v {
-                        Value::Number(n) => n.as_f64().map_or(Cell::Nothing, Cell::Number),
-                        Value::String(s) => Cell::Text(s.clone()),
-                        Value::Bool(b) => Cell::Text(b.to_string()),
-                        _ => Cell::Nothing,
-                    };
-                }
+        match ending.as_str() {
+            "csv" => sheet.csv(path)?,
+            "jsonl" | "json" | "ndjson" => sheet.json_lines(path)?,
+            "parquet" => sheet.parquet(path)?,
+            _ => {
+                let allowed = "a table of diagnoses in .csv, .jsonl or .parquet";
+                return Err(Error::bad(sheet.file, "file", format!("ending `{ending}`"), allowed).into());
             }
-            sheet.rows.push(row);
         }
         Ok(sheet)
     }
 
-    fn parquet(path: &Path) -> Result<Self> {
+    fn csv(&mut self, path: &Path) -> Result<()> {
+        let text = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text);
+        let head = reader.headers().map_err(|e| Error::torn(path, e))?.clone();
+        let plain = |n: &str| n.trim_start_matches('\u{feff}').to_ascii_lowercase();
+        self.names = head.iter().map(plain).collect();
+        let mut record = StringRecord::new();
+        loop {
+            let line = reader.position().line();
+            match reader.read_record(&mut record) {
+                Ok(false) => return Ok(()),
+                Ok(true) => {
+                    self.places.push(record.position().map_or(line, |p| p.line()));
+                    self.rows.push(record.iter().map(cell).collect());
+                }
+                Err(e) => {
+                    let allowed = format!("{} columns", self.names.len());
+                    return Err(Error::bad(&self.file, format!("line {line}"), e, allowed).into());
+                }
+            }
+        }
+    }
+
+    fn json_lines(&mut self, path: &Path) -> Result<()> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+        for (line, text) in (1..).zip(text.lines()).filter(|l| !l.1.trim().is_empty()) {
+            let bad = |e| Error::bad(&self.file, format!("line {line}"), e, "a JSON object");
+            let value: Value = serde_json::from_str(text).map_err(bad)?;
+            let mut row = vec![Cell::Nothing; self.names.len()];
+            for (name, v) in value.as_object().into_iter().flatten() {
+                match v {
+                    // {"fsj": {"lo": ...}} is fsj_lo
+                    Value::Object(parts) => {
+                        let named = parts.iter().map(|(k, v)| (format!("{name}_{k}"), v));
+                        named.for_each(|(name, v)| self.put(&mut row, &name, v));
+                    }
+                    v => self.put(&mut row, name, v),
+                }
+            }
+            self.places.push(line);
+            self.rows.push(row);
+        }
+        Ok(())
+    }
+
+    /// A value of a row, in a column of its name.
+    fn put(&mut self, row: &mut Vec<Cell>, name: &str, value: &Value) {
+        let at = self.column(name).unwrap_or_else(|| {
+            self.names.push(name.into());
+            row.push(Cell::Nothing);
+            self.names.len() - 1
+        });
+        row[at] = match value {
+            Value::Number(n) => n.as_f64().map_or(Cell::Nothing, Cell::Number),
+            Value::String(s) => Cell::Text(s.clone()),
+            Value::Bool(b) => Cell::Text(b.to_string()),
+            _ => Cell::Nothing,
+        };
+    }
+
+    fn parquet(&mut self, path: &Path) -> Result<()> {
         let (schema, batches) = read_table(path)?;
-        let names = schema.fields().iter().map(|f| f.name().to_ascii_lowercase()).collect();
-        let mut rows = Vec::new();
+        self.names = schema.fields().iter().map(|f| f.name().to_ascii_lowercase()).collect();
         for b in &batches {
             let columns: Vec<Vec<Cell>> = (0..b.num_columns()).map(|i| cells(path, b, i)).collect::<Result<_>>()?;
-            rows.extend((0..b.num_rows()).map(|r| columns.iter().map(|c| c[r].clone()).collect()));
+            let row = |r: usize| columns.iter().map(|c| c[r].clone()).collect();
+            self.rows.extend((0..b.num_rows()).map(row));
         }
-        Ok(Self {
-            file: path.display().to_string(),
-            names,
-            rows,
-            place: |i| format!("row {}", i + 1),
-        })
+        self.places = (1..=self.rows.len() as u64).collect();
+        self.counted = "row";
+        Ok(())
+    }
+
+    /// The file that it was read of.
+    pub fn file(&self) -> &str {
+        &self.file
+    }
+
+    /// Where a row is, for people.
+    fn place(&self, row: usize) -> String {
+        format!("{} {}", self.counted, self.places[row])
+    }
+
+    /// Columns of a fault: lower end, upper end, estimate.
+    fn columns_of(&self, fault: &str) -> [Option<usize>; 3] {
+        let fault = fault.to_ascii_lowercase();
+        let column = |end: &str| self.column(&format!("{fault}_{end}"));
+        let estimate = column("estimate").or_else(|| self.column(&fault));
+        [column("lo"), column("hi"), estimate]
+    }
+
+    /// Whether a fault has a lower end anywhere.
+    pub fn has(&self, fault: &str) -> bool {
+        let [lo, hi, estimate] = self.columns_of(fault);
+        let is_there = |c: usize| self.rows.iter().any(|r| matches!(r.get(c), Some(Cell::Number(_))));
+        hi.or(estimate).is_some() && lo.is_some_and(is_there)
     }
 
     fn column(&self, name: &str) -> Option<usize> {
@@ -209,7 +234,7 @@ impl Sheet {
             Some(Cell::Text(t)) => t.clone(),
             Some(Cell::Nothing) | None => "nothing".into(),
         };
-        let place = format!("{}, column `{}`", (self.place)(row), self.names[column]);
+        let place = format!("{}, column `{}`", self.place(row), self.names[column]);
         Error::bad(&self.file, place, found, allowed).into()
     }
 
@@ -256,22 +281,82 @@ impl Sheet {
         }
         if m == Moment::default() {
             let allowed = "a column `time`, `cycle`, `flight` or `time_ns` with a value in every row";
-            return Err(Error::bad(&self.file, (self.place)(row), "no time", allowed).into());
+            return Err(Error::bad(&self.file, self.place(row), "no time", allowed).into());
         }
         Ok(m)
     }
 
-    /// What a unit is called; the file's name where it has no such column.
-    fn actuator(&self, row: usize, path: &Path) -> Result<String> {
+    /// What a unit is called.
+    fn actuator(&self, row: usize) -> Result<String> {
         let Some(c) = self.column("actuator") else {
-            return Ok(path
-                .file_stem()
-                .map_or_else(|| "unit".into(), |s| s.to_string_lossy().into_owned()));
+            return Ok(self.stem.clone());
         };
         match self.text(row, Some(c)) {
             name if name.is_empty() => Err(self.bad(row, c, "the name of an actuator")),
             name => Ok(name),
         }
+    }
+
+    /// The levels of `faults` by unit.
+    ///
+    /// # Errors
+    /// Rows without a time; numbers that are none, ends of an interval the wrong way round, a coverage that is none, an
+    /// outcome that no diagnosis has; a fault that has no column.
+    pub fn history(&self, faults: &[String]) -> Result<Units> {
+        let mut columns = Vec::new();
+        for f in faults {
+            let found @ [lo, hi, estimate] = self.columns_of(f);
+            if estimate.is_none() && (lo.is_none() || hi.is_none()) {
+                let allowed = format!("columns {f}_lo, {f}_hi and {f}_estimate, or {f}");
+                return Err(Error::bad(&self.file, "header", self.names.join(","), allowed).into());
+            }
+            columns.push(found);
+        }
+        let (outcome, coverage, is_final) = (self.column("outcome"), self.column("coverage"), self.column("final"));
+        let mut units = Units::new();
+        for r in 0..self.rows.len() {
+            if self.rows[r].iter().all(|c| *c == Cell::Nothing) || self.text(r, is_final) == "false" {
+                continue;
+            }
+            let word = self.text(r, outcome);
+            let ended = match Ended::ALL.into_iter().find(|e| e.name() == word) {
+                Some(e) => e,
+                None if word.is_empty() => Ended::Located,
+                None => {
+                    let allowed = Ended::ALL.map(Ended::name).join(", ");
+                    return Err(self.bad(r, outcome.unwrap_or(0), &allowed));
+                }
+            };
+            let stated = self.number(r, coverage)?.unwrap_or(0.95);
+            if !(0.01..1.0).contains(&stated) {
+                return Err(self.bad(r, coverage.unwrap_or(0), "a coverage from 0.01 to below 1"));
+            }
+            let mut levels = Vec::new();
+            for [lo, hi, estimate] in &columns {
+                let level = Level {
+                    lo: self.number(r, *lo)?,
+                    hi: self.number(r, *hi)?,
+                    estimate: self.number(r, *estimate)?,
+                };
+                if let (Some(a), Some(b), Some(column)) = (level.lo, level.hi, *lo)
+                    && a > b
+                {
+                    return Err(self.bad(r, column, &format!("a lower end not above the upper one ({b})")));
+                }
+                levels.push(level);
+            }
+            let test = Test {
+                moment: self.moment(r)?,
+                ended,
+                coverage: stated,
+                levels,
+            };
+            units.entry(self.actuator(r)?).or_default().push(test);
+        }
+        if units.is_empty() {
+            return Err(Error::bad(&self.file, "rows", "none", "a row for each test").into());
+        }
+        Ok(units)
     }
 }
 
@@ -327,66 +412,9 @@ fn cells(path: &Path, b: &RecordBatch, i: usize) -> Result<Vec<Cell>> {
 /// Reads a history: the levels of `faults` by unit.
 ///
 /// # Errors
-/// A file that cannot be read; rows without a time; numbers that are none, ends of an interval the wrong way round, a
-/// coverage that is none, an outcome that no diagnosis has; a fault that has no column.
+/// As [`Sheet::read`] and [`Sheet::history`].
 pub fn history(path: &Path, faults: &[String]) -> Result<Units> {
-    let sheet = Sheet::read(path)?;
-    let column = |fault: &str, end: &str| sheet.column(&format!("{}_{end}", fault.to_ascii_lowercase()));
-    let mut columns = Vec::new();
-    for f in faults {
-        let estimate = column(f, "estimate").or_else(|| sheet.column(&f.to_ascii_lowercase()));
-        let (lo, hi) = (column(f, "lo"), column(f, "hi"));
-        if estimate.is_none() && (lo.is_none() || hi.is_none()) {
-            let allowed = format!("columns {f}_lo, {f}_hi and {f}_estimate, or {f}");
-            return Err(Error::bad(&sheet.file, "header", sheet.names.join(","), allowed).into());
-        }
-        columns.push((lo, hi, estimate));
-    }
-    let (outcome, coverage, is_final) = (sheet.column("outcome"), sheet.column("coverage"), sheet.column("final"));
-    let mut units = Units::new();
-    for r in 0..sheet.rows.len() {
-        if sheet.rows[r].iter().all(|c| *c == Cell::Nothing) || sheet.text(r, is_final) == "false" {
-            continue;
-        }
-        let word = sheet.text(r, outcome);
-        let ended = match Ended::ALL.into_iter().find(|e| e.name() == word) {
-            Some(e) => e,
-            None if word.is_empty() => Ended::Located,
-            None => {
-                let allowed = Ended::ALL.map(Ended::name).join(", ");
-                return Err(sheet.bad(r, outcome.unwrap_or(0), &allowed));
-            }
-        };
-        let stated = sheet.number(r, coverage)?.unwrap_or(0.95);
-        if !(0.01..1.0).contains(&stated) {
-            return Err(sheet.bad(r, coverage.unwrap_or(0), "a coverage from 0.01 to below 1"));
-        }
-        let mut levels = Vec::new();
-        for (lo, hi, estimate) in &columns {
-            let level = Level {
-                lo: sheet.number(r, *lo)?,
-                hi: sheet.number(r, *hi)?,
-                estimate: sheet.number(r, *estimate)?,
-            };
-            if let (Some(a), Some(b), Some(column)) = (level.lo, level.hi, *lo)
-                && a > b
-            {
-                return Err(sheet.bad(r, column, &format!("a lower end not above the upper one ({b})")));
-            }
-            levels.push(level);
-        }
-        let test = Test {
-            moment: sheet.moment(r)?,
-            ended,
-            coverage: stated,
-            levels,
-        };
-        units.entry(sheet.actuator(r, path)?).or_default().push(test);
-    }
-    if units.is_empty() {
-        return Err(Error::bad(&sheet.file, "rows", "none", "a row for each test").into());
-    }
-    Ok(units)
+    Sheet::read(path)?.history(faults)
 }
 
 /// Reads an events file: `actuator`, `time` or `cycle`, `kind`, `fault`, `note`.
@@ -411,7 +439,7 @@ pub fn events(path: &Path) -> Result<BTreeMap<String, Vec<Event>>> {
             kind: word,
             fault,
         };
-        out.entry(sheet.actuator(r, path)?).or_default().push(event);
+        out.entry(sheet.actuator(r)?).or_default().push(event);
     }
     Ok(out)
 }
@@ -425,7 +453,7 @@ pub fn truths(path: &Path) -> Result<BTreeMap<String, Vec<End>>> {
     let mut out: BTreeMap<String, Vec<End>> = BTreeMap::new();
     for r in 0..sheet.rows.len() {
         let event = sheet.text(r, sheet.column("event"));
-        out.entry(sheet.actuator(r, path)?).or_default().push(End {
+        out.entry(sheet.actuator(r)?).or_default().push(End {
             moment: sheet.moment(r)?,
             event,
         });

@@ -7,6 +7,7 @@ use anyhow::Result;
 use diagnoser::prognosis::fleet::{Left, without_fleet};
 use diagnoser::prognosis::forecast::{crps, quantile};
 use diagnoser::prognosis::outlook::LEAST_TESTS;
+use diagnoser::prognosis::special::middle;
 use diagnoser::prognosis::{Fleet, Prior, Track};
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -150,15 +151,14 @@ pub fn score(units: &[Unit], fleet: Option<&Fleet>, horizons: &[f64]) -> Result<
         });
         (*h, b, bins.collect())
     });
-    let mut horizons_of: Vec<f64> = scored.iter().map(|r| horizon_of(&r.0)).collect();
-    horizons_of.sort_by(f64::total_cmp);
+    let horizons_of = scored.iter().map(|r| horizon_of(&r.0)).collect();
     let accuracy = |f: &Forecast| 1.0 - ((f.median.min(f.horizon) - f.truth).abs() / f.truth.max(1e-9)).min(10.0);
     Ok(Scored {
         units: scored.len(),
         left_out: units.len() - scored.len(),
         at: at.collect(),
         coverage: mean(&|f| f64::from(u8::from(f.lo <= f.truth && f.truth <= f.hi))),
-        prognostic_horizon: horizons_of.get(horizons_of.len() / 2).copied().unwrap_or(0.0),
+        prognostic_horizon: middle(horizons_of).unwrap_or(0.0),
         accuracy: mean(&accuracy),
         brier: brier.collect(),
         forecasts: all().cloned().collect(),
@@ -169,12 +169,8 @@ fn at(lambda: f64, of: Vec<&Forecast>) -> At {
     let n = of.len().max(1) as f64;
     let share = |f: &dyn Fn(&Forecast) -> bool| of.iter().filter(|x| f(x)).count() as f64 / n;
     let both = |f: &dyn Fn(&Forecast) -> f64| {
-        let mut v: Vec<f64> = of.iter().map(|x| f(x)).collect();
-        v.sort_by(f64::total_cmp);
-        (
-            v.iter().sum::<f64>() / n,
-            v.get(v.len() / 2).copied().unwrap_or(f64::NAN),
-        )
+        let v: Vec<f64> = of.iter().map(|x| f(x)).collect();
+        (v.iter().sum::<f64>() / n, middle(v).unwrap_or(f64::NAN))
     };
     At {
         lambda,

@@ -4,9 +4,11 @@ use super::Told;
 use anyhow::Result;
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt32Array};
 use arrow::datatypes::{Field, Schema};
+use diagnoser::prognosis::fleet::COVERAGE;
 use diagnoser::prognosis::forecast::quantile;
+use diagnoser::prognosis::history::Ends;
 use diagnoser::prognosis::law::Family;
-use diagnoser::prognosis::outlook::{Status, Told as Ends};
+use diagnoser::prognosis::{Outlook, Status};
 use schemas::recording::write_table;
 use std::path::Path;
 use std::sync::Arc;
@@ -34,6 +36,13 @@ impl Columns {
         // infinite is never, and never is nothing
         let finite = values.map(|v| v.filter(|x| x.is_finite()));
         self.0.push((name.into(), Arc::new(finite.collect::<Float64Array>())));
+    }
+
+    /// Three columns: lower end, upper end, estimate.
+    fn ends<I: Iterator<Item = Option<f64>>>(&mut self, name: &str, of: impl Fn(fn(Ends) -> f64) -> I) {
+        self.number(&format!("{name}_lo"), of(|e| e.0));
+        self.number(&format!("{name}_hi"), of(|e| e.1));
+        self.number(name, of(|e| e.2));
     }
 
     fn count(&mut self, name: &str, values: impl Iterator<Item = u32>) {
@@ -76,7 +85,7 @@ pub fn write(dir: &Path, told: &[Told]) -> Result<()> {
 fn trends(told: &[Told]) -> Columns {
     let rows = || {
         told.iter()
-            .filter_map(|t| Some((t, t.scale?, t.track.as_ref()?)))
+            .filter_map(|t| Some((t, t.scale?, &t.track.as_ref()?.1)))
             .flat_map(|(t, scale, track)| track.trends.iter().map(move |r| (t, scale, r)))
     };
     let mut c = Columns::default();
@@ -86,16 +95,10 @@ fn trends(told: &[Told]) -> Columns {
     c.number("at", rows().map(|r| Some(r.2.at)));
     c.text("outcome", rows().map(|r| r.2.ended.name().into()));
     c.text("used", rows().map(|r| r.2.used.name().into()));
-    let level = |z: f64| rows().map(move |(_, s, r)| Some(s.level(r.damage.0 + z * r.damage.1)));
-    c.number("level_lo", level(-1.96));
-    c.number("level_hi", level(1.96));
-    c.number("level", level(0.0));
-    let rate = |z: f64| {
-        rows().map(move |(_, s, r)| Some((s.threshold - s.healthy).abs() * (r.log_rate.0 + z * r.log_rate.1).exp()))
-    };
-    c.number("rate_lo", rate(-1.96));
-    c.number("rate_hi", rate(1.96));
-    c.number("rate", rate(0.0));
+    let level = |pick: fn(Ends) -> f64| rows().map(move |(_, s, r)| Some(pick(s.level_of(r.damage))));
+    c.ends("level", level);
+    let rate = |pick: fn(Ends) -> f64| rows().map(move |(_, s, r)| Some(pick(s.rate_of(r.log_rate))));
+    c.ends("rate", rate);
     c.number("innovation", rows().map(|r| Some(r.2.innovation)));
     c.number("p_change", rows().map(|r| Some(r.2.changed)));
     c.text("law", rows().map(|r| r.2.law.name().into()));
@@ -115,25 +118,16 @@ fn prognoses(told: &[Told]) -> Columns {
     c.text("reason", o().map(|o| o.reason.clone()));
     c.count("tests", o().map(|o| o.tests as u32));
     c.count("used", o().map(|o| o.used as u32));
-    let told3 =
-        |f: fn(&diagnoser::prognosis::Outlook) -> Option<Ends>, pick: fn(Ends) -> f64| o().map(move |o| f(o).map(pick));
-    c.number("level_lo", told3(|o| o.level, |e| e.0));
-    c.number("level_hi", told3(|o| o.level, |e| e.1));
-    c.number("level", told3(|o| o.level, |e| e.2));
-    c.number("rate_lo", told3(|o| o.rate, |e| e.0));
-    c.number("rate_hi", told3(|o| o.rate, |e| e.1));
-    c.number("rate", told3(|o| o.rate, |e| e.2));
+    c.ends("level", |pick| o().map(move |o| o.level.map(pick)));
+    c.ends("rate", |pick| o().map(move |o| o.rate.map(pick)));
     for (name, p) in QUANTILES {
         c.number(name, o().map(move |o| o.left.as_ref().map(|l| quantile(&l.times, p))));
     }
     c.number("rul_lo", o().map(|o| o.rul().map(|r| r.0)));
     c.number("rul_hi", o().map(|o| o.rul().map(|r| r.1)));
     // null: not calibrated
-    let calibrated = |o: &diagnoser::prognosis::Outlook| o.left.as_ref().and_then(|l| l.calibrated);
-    c.number(
-        "coverage",
-        o().map(|o| calibrated(o).map(|_| diagnoser::prognosis::fleet::COVERAGE)),
-    );
+    let calibrated = |o: &Outlook| o.left.as_ref().and_then(|l| l.calibrated);
+    c.number("coverage", o().map(|o| calibrated(o).map(|_| COVERAGE)));
     c.number("calibration_lives", o().map(|o| calibrated(o).map(|n| n as f64)));
     let horizons: Vec<f64> = o()
         .find(|o| !o.p_fail.is_empty())

@@ -2,7 +2,10 @@
 
 use super::{Clock, Told};
 use arrow::temporal_conversions::timestamp_ns_to_datetime;
+use diagnoser::prognosis::fleet::COVERAGE;
 use diagnoser::prognosis::outlook::promise;
+use diagnoser::prognosis::track::Alarm;
+use diagnoser::prognosis::{Ended, Status};
 use serde_json::{Value, json};
 
 /// A number by four digits, or as many as stand before its point.
@@ -49,7 +52,8 @@ pub fn to_json(t: &Told) -> Value {
     };
     let laws = o.laws.iter().map(|(f, m)| (f.name().to_string(), json!(m)));
     let p_fail = o.p_fail.iter().map(|(h, p)| (h.to_string(), json!(p)));
-    let alarm = |a: &diagnoser::prognosis::track::Alarm| json!({"kind": a.kind.name(), "at": number(a.at), "probability": a.probability, "text": a.text});
+    let alarm =
+        |a: &Alarm| json!({"kind": a.kind.name(), "at": number(a.at), "probability": a.probability, "text": a.text});
     let rul = o.rul();
     let of = |f: fn((f64, f64, f64)) -> f64| rul.map_or(Value::Null, |r| number(f(r)));
     json!({
@@ -66,7 +70,7 @@ pub fn to_json(t: &Told) -> Value {
         "change": o.change.map(|c| json!({"at": c.at, "probability": c.probability, "factor": c.factor})),
         "rul": {"median": of(|r| r.2), "lo": of(|r| r.0), "hi": of(|r| r.1)},
         "rul_days": t.days.and_then(|d| rul.map(|r| json!({"median": number(d * r.2), "lo": number(d * r.0), "hi": number(d * r.1)}))),
-        "coverage": diagnoser::prognosis::fleet::COVERAGE,
+        "coverage": COVERAGE,
         "calibration_lives": o.left.as_ref().and_then(|l| l.calibrated),
         "p_fail": serde_json::Map::from_iter(p_fail),
         "p_never": o.p_never,
@@ -84,11 +88,11 @@ pub fn text(t: &Told) -> String {
     let o = &t.outlook;
     let clock = t.clock.name();
     let mut out = format!("actuator  {}   {} tests, {} used", o.actuator, o.tests, o.used);
-    if let Some(track) = &t.track {
-        let count = |name: &str| track.trends.iter().filter(|r| r.ended.name() == name).count();
-        for name in ["unexplained", "out_of_range", "incomplete"] {
-            if count(name) > 0 {
-                out += &format!(", {} {}", count(name), name.replace('_', " "));
+    if let Some((history, _)) = &t.track {
+        for ended in [Ended::Unexplained, Ended::OutOfRange, Ended::Incomplete] {
+            let n = history.rows.iter().filter(|r| r.ended == ended).count();
+            if n > 0 {
+                out += &format!(", {n} {}", ended.name().replace('_', " "));
             }
         }
     }
@@ -174,7 +178,7 @@ pub fn text(t: &Told) -> String {
             );
         }
     }
-    if o.status.name() != "ok" {
+    if o.status != Status::Ok {
         out += &format!("\n{:<9} {}", o.status.name().replace('_', " ").to_uppercase(), o.reason);
     }
     for a in o.alarms.iter().rev().take(3) {
