@@ -192,7 +192,7 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
         unsaid: None,
         live: Live::new(options.known.clone()),
     };
-    if options.show == Show::Lines {
+    if matches!(options.show, Show::Lines | Show::Json) {
         eprintln!("waiting for telemetry (domain `{}`)", options.domain.prefix());
     }
     if let Some(log) = &r.log {

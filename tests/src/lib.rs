@@ -1,5 +1,6 @@
 //! What the end-to-end and validation tests share.
 //!
+//! - [`arguments`]: of the benchmarks
 //! - [`blind`]: "measured" data with a hidden effect, made by equations of its own
 //! - [`campaign`]: blind cases by the hundred, studied, scored and reported
 //! - [`coverage`]: what share of fresh simulated tests lies in its intervals
@@ -15,6 +16,7 @@
 //! Next to it stand the programs under test (`main.rs`, `diagnoser.rs`, `query.rs`, `sim_worker.rs`) and the benches of
 //! diagnosis, discrepancy, latency and changed inputs (`bin`). What tests of programs share besides is in `tests/common`.
 
+pub mod arguments;
 pub mod blind;
 pub mod campaign;
 pub mod coverage;

@@ -60,10 +60,15 @@ pub struct Soaked {
     pub runs: u64,
     /// of them over the bridge
     pub bridged: u64,
-    /// runs that no kill touched (that of a subscriber touches none)
+    /// runs that no kill touched (that of a subscriber touches none), begun when whoever had been killed was there again
     pub untouched: u64,
     /// those of them that were located once, exactly as offline
     pub exact: u64,
+    /// the others of them, and how often each was located exactly
+    pub inexact: BTreeMap<u64, u64>,
+    /// runs begun before whoever had been killed was there again: any subscriber's answer begins a stream, so that the diagnoser may
+    /// have come late, and the bridge sends again what it is not sure of
+    pub begun_early: u64,
     /// located diagnoses that are not the offline one, heard or logged
     pub wrong: u64,
     /// runs that a kill touched and that were located, exactly, all the same
@@ -114,8 +119,8 @@ impl Soaked {
         no(
             self.untouched == 0 || share < 0.99,
             format!(
-                "{} of {} untouched runs exact; {:?}",
-                self.exact, self.untouched, self.failures
+                "{} of {} untouched runs exact; located so often: {:?}; {:?}",
+                self.exact, self.untouched, self.inexact, self.failures
             ),
         );
         v
@@ -166,6 +171,8 @@ struct State<'a> {
     live: Program,
     subscriber: Program,
     sender: Program,
+    /// connections that the sender has told of at the last kill of an end of the bridge
+    connected: usize,
     receiver: Program,
     diagnoses: DiagnosisSubscriber,
     /// runs located exactly as offline
@@ -204,19 +211,22 @@ fn sender(soak: &Soak<'_>, domain: &TestDomain, address: &str) -> Program {
     program(soak, domain, &["bridge", "send", "--to", address])
 }
 
+/// How often a sender has said that it is connected.
+fn connections(sender: &Program) -> usize {
+    sender.errors().matches("connected to").count()
+}
+
 impl<'a> State<'a> {
     fn new(soak: &'a Soak<'a>) -> Self {
         let (near, far) = (TestDomain::default(), TestDomain::default());
         let diagnoses = DiagnosisSubscriber::open(&far.open(), 0).unwrap();
         let mut receiver = receiver(soak, &far, "127.0.0.1:0");
-        receiver.until("listening", HANG, |p| p.errors().contains("listening on"));
-        let said = receiver.errors();
-        let address = said.lines().last().and_then(|l| l.rsplit(' ').next());
-        let address = address.expect("an address").to_string();
+        let address = receiver.address(HANG);
         Self {
             live: live(soak, &far),
             subscriber: subscriber(soak, &far),
             sender: sender(soak, &near, &address),
+            connected: 0,
             receiver,
             diagnoses,
             exact: BTreeMap::new(),
@@ -292,7 +302,10 @@ impl<'a> State<'a> {
             }
             Victim::Subscriber => self.subscriber.kill(),
             Victim::Sender => self.sender.kill(),
-            Victim::Receiver => self.receiver.kill(),
+            Victim::Receiver => {
+                self.connected = connections(&self.sender);
+                self.receiver.kill();
+            }
         }
         true
     }
@@ -302,9 +315,17 @@ impl<'a> State<'a> {
             Victim::Publisher => {}
             Victim::Diagnoser => self.live = live(self.soak, &self.far),
             Victim::Subscriber => self.subscriber = subscriber(self.soak, &self.far),
-            Victim::Sender => self.sender = sender(self.soak, &self.near, &self.address),
+            Victim::Sender => {
+                self.sender = sender(self.soak, &self.near, &self.address);
+                self.connected = 0;
+            }
             Victim::Receiver => self.receiver = receiver(self.soak, &self.far, &self.address),
         }
+    }
+
+    /// Whether everybody who was killed is there again.
+    fn is_ready(&self) -> bool {
+        self.live.errors().contains("waiting for telemetry") && connections(&self.sender) > self.connected
     }
 
     /// Programs that have ended though nobody killed them are started again, and named.
@@ -453,7 +474,9 @@ pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked
     }
     s.listen(Duration::from_millis(300));
     s.seen.untouched = untouched.len() as u64;
-    s.seen.exact = untouched.iter().filter(|r| s.exact.get(r) == Some(&1)).count() as u64;
+    let located = untouched.iter().map(|r| (*r, s.exact.get(r).copied().unwrap_or(0)));
+    s.seen.inexact = located.filter(|(_, n)| *n != 1).collect();
+    s.seen.exact = s.seen.untouched - s.seen.inexact.len() as u64;
     s.seen.saved = touched_runs.iter().filter(|r| s.exact.contains_key(r)).count() as u64;
     end(s, run + 1)
 }
@@ -461,6 +484,14 @@ pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked
 /// Replays the recording once, here or over the bridge, and perhaps kills; whether that touched the run.
 fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> bool {
     let number = run.to_string();
+    // half of the runs wait for whoever was killed; what the others begin without them is theirs to suffer
+    let start = Instant::now();
+    let patience = if rng.random_bool(0.5) { OWED } else { Duration::ZERO };
+    while !s.is_ready() && start.elapsed() < patience {
+        s.listen(Duration::from_millis(2));
+    }
+    let begun_early = !s.is_ready();
+    s.seen.begun_early += u64::from(begun_early);
     let speed = ["max", "max", "40", "15"][rng.random_range(0..4)];
     let frame = ["1", "5", "10", "50"][rng.random_range(0..4)];
     let is_bridged = rng.random_bool(0.5);
@@ -481,7 +512,7 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> bool {
     ];
     let mut replay = program(s.soak, domain, &args);
     let start = Instant::now();
-    let mut touched = false;
+    let mut touched = begun_early;
     // who is killed during this run (half of the time nobody), and when: while the programs start, or later
     let mut victims = Vec::new();
     if rng.random_bool(0.5) {

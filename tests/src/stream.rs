@@ -1,5 +1,6 @@
 //! Processes on a stream, for tests and for the soak.
 
+use schemas::stream::frame::RunDescription;
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -65,6 +66,24 @@ impl Drop for TestDomain {
                 let _ = std::fs::remove_dir_all(node);
             }
         }
+    }
+}
+
+/// How a recording is announced as a stream.
+///
+/// # Panics
+/// A table that is no recording.
+pub fn announced(m: &pipeline::input::Measured, run: u64) -> RunDescription {
+    RunDescription {
+        actuator: "rig".into(),
+        parameters: m.parameters.clone(),
+        sensors: m.sensors.clone(),
+        sequence: m.sequence_fingerprint.clone(),
+        run,
+        rate_hz: m.rate_hz,
+        channels: m.telemetry.header.as_ref().expect("a recording").channels,
+        total_rows: m.telemetry.rows() as u64,
+        load_n_m: 0.0,
     }
 }
 
@@ -154,6 +173,14 @@ impl Program {
             );
             std::thread::sleep(Duration::from_millis(2));
         }
+    }
+
+    /// The address that a receiving bridge says it listens on.
+    pub fn address(&mut self, limit: Duration) -> String {
+        self.until("listening", limit, |p| p.errors().contains("listening on"));
+        let said = self.errors();
+        let line = said.lines().find(|l| l.contains("listening on"));
+        line.and_then(|l| l.rsplit(' ').next()).expect("an address").into()
     }
 
     pub fn kill(&mut self) {

@@ -160,9 +160,7 @@ fn bridged(listen: &str, prefix: &[&str]) {
         Program::start(c)
     };
     let mut receiver = away(&["bridge", "receive", "--listen", listen]);
-    receiver.until("listening", LIMIT, |p| p.errors().contains("listening on"));
-    let said = receiver.errors();
-    let to = said.lines().last().unwrap().rsplit(' ').next().unwrap();
+    let to = &receiver.address(LIMIT);
     let mut sender = Program::start(ema(&near, &["bridge", "send", "--to", to]));
     sender.until("connection", LIMIT, |p| p.errors().contains("connected"));
     // nobody is there yet: the far diagnoser's answer is waited for
@@ -180,7 +178,7 @@ fn bridged(listen: &str, prefix: &[&str]) {
     live.until("something so far", LIMIT, |p| !p.json().is_empty());
     receiver.kill();
     let mut receiver = away(&["bridge", "receive", "--listen", to]);
-    receiver.until("listening", LIMIT, |p| p.errors().contains("listening on"));
+    receiver.address(LIMIT);
     assert_eq!(live.code(), Some(3), "{} {}", live.errors(), receiver.errors());
     assert_eq!(replay.code(), Some(0), "{} {}", replay.errors(), sender.errors());
     incomplete(&finals(&live)[0], &["died after sample"]);

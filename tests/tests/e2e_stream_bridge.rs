@@ -18,15 +18,8 @@ fn receiver(domain: &TestDomain, args: &[&str]) -> (Program, String) {
         domain,
         &[&["bridge", "receive", "--listen", "127.0.0.1:0"][..], args].concat(),
     ));
-    let to = listens(&mut p);
+    let to = p.address(LIMIT);
     (p, to)
-}
-
-/// Where a receiving bridge listens, once it does.
-fn listens(p: &mut Program) -> String {
-    p.until("listening", LIMIT, |p| p.errors().contains("listening on"));
-    let said = p.errors();
-    said.lines().last().unwrap().rsplit(' ').next().unwrap().to_string()
 }
 
 fn sender(domain: &TestDomain, to: &str, args: &[&str]) -> Program {
@@ -278,7 +271,7 @@ fn e2e_bridge_without_files_refuses_and_goes_on() {
         limited.env(k, v.unwrap());
     }
     let mut receiver = Program::start(limited);
-    let to = listens(&mut receiver);
+    let to = receiver.address(LIMIT);
     let crowd: Vec<_> = (0..300).filter_map(|_| TcpStream::connect(&to).ok()).collect();
     receiver.until("refusal", LIMIT, |p| p.errors().contains("a connection is refused"));
     drop(crowd);

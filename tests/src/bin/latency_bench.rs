@@ -4,7 +4,8 @@
 //! where p99 under load is 5 ms or more, or anything was not located.
 
 use anyhow::{Context, Result, ensure};
-use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain};
+use ema_tests::arguments::number;
+use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain, announced};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use schemas::stream::diagnosis::DiagnosisSubscriber;
@@ -32,18 +33,6 @@ const PAUSE: Duration = Duration::from_millis(3);
 
 /// Tests of a block.
 const BLOCK: usize = 25;
-
-fn option(name: &str, default: usize) -> Result<usize> {
-    let arguments: Vec<String> = std::env::args().collect();
-    match arguments.iter().position(|a| a == name) {
-        None => Ok(default),
-        Some(i) => {
-            let text = arguments.get(i + 1).with_context(|| format!("{name} needs a number"))?;
-            text.parse()
-                .with_context(|| format!("{name} {text}: allowed: a whole number"))
-        }
-    }
-}
 
 /// p50, p99 and the greatest [ms].
 fn quantiles(mut ns: Vec<u64>) -> [f64; 3] {
@@ -141,7 +130,7 @@ fn hearing(domain: &TestDomain, over: &Arc<AtomicBool>) -> Heard {
 }
 
 fn run() -> Result<bool> {
-    let runs = option("--runs", 400)?;
+    let runs = number("--runs", 400)? as usize;
     let ema = std::env::current_exe()?.with_file_name("ema-under-test");
     ensure!(
         ema.exists(),
@@ -167,31 +156,15 @@ fn run() -> Result<bool> {
         ensure!(ended.is_some_and(|s| s.success()), "{args:?}: {}", p.errors());
     }
     let m = pipeline::input::open(&file, None)?;
-    let about = |run: u64| RunDescription {
-        actuator: "rig".into(),
-        parameters: m.parameters.clone(),
-        sensors: m.sensors.clone(),
-        sequence: m.sequence_fingerprint.clone(),
-        run,
-        rate_hz: m.rate_hz,
-        channels: m.telemetry.header.as_ref().expect("a recording").channels,
-        total_rows: m.telemetry.rows() as u64,
-        load_n_m: 0.0,
-    };
+    let about = |run: u64| announced(&m, run);
     let over = Arc::<AtomicBool>::default();
     let heard = hearing(&domain, &over);
     let secret = text(&secret);
     let listen = ["bridge", "receive", "--listen", "127.0.0.1:0", "--secret-file", &secret];
     let mut bridge = start(&ema, &domain, dir.path(), &listen);
-    bridge.until("listening", LIMIT, |p| p.errors().contains("listening on"));
-    let said = bridge.errors();
-    let to = said
-        .lines()
-        .last()
-        .and_then(|l| l.rsplit(' ').next())
-        .context("an address")?;
+    let to = bridge.address(LIMIT);
     let under_attack = Arc::<AtomicBool>::default();
-    let attacks = hostile(to, &under_attack, &over);
+    let attacks = hostile(&to, &under_attack, &over);
     let mut publisher = Publisher::open(&domain.open(), Delivery::Lossless, ROWS, 8)?;
     // odd rates, each of which maps are made for
     let mut odd = Publisher::open(&domain.open(), Delivery::Lossless, ROWS, 8)?;

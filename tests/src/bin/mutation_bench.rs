@@ -2,7 +2,8 @@
 //! every door; says how many were refused and taken, and which failed how. `--seconds 120` ends it earlier, `--door bridge` (part of a
 //! name) tries some doors alone; `--first 154338 --inputs 1` tries one input again (the file of a fault has its number in its name). Exit code 1 if any input did what none may, or the memory was above 1 GB.
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
+use ema_tests::arguments::{number, text};
 use ema_tests::mutation::{Effort, Tally, campaign, doors};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::collections::BTreeMap;
@@ -34,21 +35,6 @@ static ALLOCATOR: Counting = Counting;
 
 /// Most memory that all inputs together may take [bytes].
 const ROOM: usize = 1_000_000_000;
-
-fn text(name: &str) -> Result<Option<String>> {
-    let arguments: Vec<String> = std::env::args().collect();
-    let Some(i) = arguments.iter().position(|a| a == name) else {
-        return Ok(None);
-    };
-    let value = arguments.get(i + 1).with_context(|| format!("{name} needs a value"))?;
-    Ok(Some(value.clone()))
-}
-
-fn number(name: &str, default: u64) -> Result<u64> {
-    let Some(text) = text(name)? else { return Ok(default) };
-    text.parse()
-        .with_context(|| format!("{name} {text}: allowed: a whole number"))
-}
 
 fn table(tallies: &BTreeMap<&'static str, Tally>) -> String {
     let mut out = "| door | inputs | refused | taken | longest [s] | failed |\n|---|---|---|---|---|---|\n".to_string();

@@ -66,14 +66,7 @@ impl Bridge {
             "3",
         ];
         let mut receiver = start(ema, &domain, &receive);
-        receiver.until("listening", LIMIT, |p| p.errors().contains("listening on"));
-        let said = receiver.errors();
-        let address = said
-            .lines()
-            .last()
-            .and_then(|l| l.rsplit(' ').next())
-            .expect("an address")
-            .into();
+        let address = receiver.address(LIMIT);
         let (finals, over) = (Arc::<Mutex<Vec<_>>>::default(), Arc::<AtomicBool>::default());
         let (to, until, of) = (finals.clone(), over.clone(), domain.open());
         std::thread::spawn(move || {

@@ -2,9 +2,10 @@
 //! values that the payload has (u32), and the values.
 
 use super::truth::{Taken, silent};
+use crate::stream::announced;
 use diagnoser::diagnosis::{Diagnoser, Outcome};
 use diagnoser::live::{Known, Live};
-use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription, SAMPLES};
+use schemas::stream::frame::{BEGIN, END, FrameHeader, SAMPLES};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -27,17 +28,7 @@ fn header_of(bytes: [u8; HEADER]) -> FrameHeader {
 /// The frames of a recording.
 pub(super) fn of(recording: &Path) -> Vec<u8> {
     let m = pipeline::input::open(recording, None).unwrap();
-    let about = RunDescription {
-        actuator: "rig".into(),
-        parameters: m.parameters.clone(),
-        sensors: m.sensors.clone(),
-        sequence: m.sequence_fingerprint.clone(),
-        run: 5,
-        rate_hz: m.rate_hz,
-        channels: m.telemetry.header.as_ref().expect("a recording").channels,
-        total_rows: m.telemetry.rows() as u64,
-        load_n_m: 0.0,
-    };
+    let about = announced(&m, 5);
     let mut out = Vec::new();
     let mut add = |kind: u32, frame: u64, values: &[f64], rows: Option<(u64, usize)>| {
         let mut h = FrameHeader {

@@ -3,7 +3,7 @@
 
 pub mod process;
 
-use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain};
+use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain, announced};
 use schemas::stream::frame::RunDescription;
 use schemas::stream::publisher::{Delivery, FrameMut, Pass, Publisher};
 use schemas::telemetry::Collector;
@@ -81,18 +81,7 @@ pub fn same(offline: &Value, live: &Value) {
 pub fn take() -> (Collector, RunDescription) {
     let (file, _) = recording();
     let m = pipeline::input::open(file, None).unwrap();
-    let header = m.telemetry.header.clone().unwrap();
-    let about = RunDescription {
-        actuator: "rig".into(),
-        parameters: m.parameters.clone(),
-        sensors: m.sensors.clone(),
-        sequence: m.sequence_fingerprint.clone(),
-        run: 5,
-        rate_hz: m.rate_hz,
-        channels: header.channels,
-        total_rows: m.telemetry.rows() as u64,
-        load_n_m: 0.0,
-    };
+    let about = announced(&m, 5);
     (m.telemetry, about)
 }
 
