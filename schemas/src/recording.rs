@@ -5,7 +5,7 @@ use crate::SCHEMA_VERSION;
 use crate::channel::{Channel, ChannelSet};
 use crate::error::{Error, Result, temporary};
 use crate::fault::FaultState;
-use crate::guard::guarded;
+use crate::guard::{Ending, guarded};
 use crate::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use arrow::array::{Array, ArrayRef, AsArray, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
 use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, SchemaRef, UInt64Type};
@@ -330,7 +330,7 @@ pub struct Recording {
 ///
 /// # Errors
 /// A file that is not there, is empty, is not whole, or whose footer contradicts itself.
-pub fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
+pub fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<Ending<File>>> {
     let file = File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
     let size = file.metadata().map_err(|e| Error::io(path, "cannot be read", e))?.len();
     if size == 0 {
@@ -340,7 +340,7 @@ pub fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>> {
         ));
     }
     let whole = |e: String| Error::torn(path, format!("not a whole Parquet file of {size} bytes ({e})"));
-    let builder = guarded(|| ParquetRecordBatchReaderBuilder::try_new(file))
+    let builder = guarded(|| ParquetRecordBatchReaderBuilder::try_new(Ending(file)))
         .map_err(|e| whole(e.to_string()))?
         .map_err(|e| whole(e.to_string()))?;
     crate::declared::check(path, builder.metadata(), size)?;
@@ -364,7 +364,7 @@ struct Batches {
 }
 
 impl Batches {
-    fn of(path: &Path, builder: ParquetRecordBatchReaderBuilder<File>) -> Result<Self> {
+    fn of(path: &Path, builder: ParquetRecordBatchReaderBuilder<Ending<File>>) -> Result<Self> {
         // checked when opened
         let due = builder.metadata().file_metadata().num_rows() as u64;
         let reader = guarded(|| builder.build()).map_err(|e| Error::torn(path, e))?;
@@ -463,7 +463,7 @@ pub fn metadata(path: &Path) -> Result<BTreeMap<String, String>> {
     Ok(pairs(&open(path)?))
 }
 
-fn pairs(builder: &ParquetRecordBatchReaderBuilder<File>) -> BTreeMap<String, String> {
+fn pairs(builder: &ParquetRecordBatchReaderBuilder<Ending<File>>) -> BTreeMap<String, String> {
     let list = builder.metadata().file_metadata().key_value_metadata();
     list.into_iter()
         .flatten()

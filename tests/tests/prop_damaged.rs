@@ -164,6 +164,24 @@ fn refuse_footers_that_declare_more_than_the_file_holds() {
     assert!(peak() < GIB, "{} MiB", peak() >> 20);
 }
 
+/// The Parquet library passes over fields that it does not know, as many values as their headers declare; at the end of a file it
+/// went on doing so, for minutes.
+#[test]
+fn refuse_a_page_header_that_declares_more_than_the_file_holds() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("page.parquet");
+    write(&file);
+    let mut bytes = std::fs::read(&file).unwrap();
+    let honest = ParquetMetaDataReader::new()
+        .parse_and_finish(&std::fs::File::open(&file).unwrap())
+        .unwrap();
+    let page = honest.row_groups()[0].columns().last().unwrap().data_page_offset() as usize;
+    // Thrift: field 15, a list of 2^31 - 1 doubles
+    bytes[page..page + 7].copy_from_slice(&[0xf9, 0xf7, 0xff, 0xff, 0xff, 0xff, 0x07]);
+    std::fs::write(&file, bytes).unwrap();
+    refused(&file, &["page.parquet", "end of file"]);
+}
+
 #[test]
 fn refuse_a_csv_of_many_columns_in_one_short_line() {
     let dir = tempfile::tempdir().unwrap();

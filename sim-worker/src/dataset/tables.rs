@@ -12,7 +12,7 @@ use schemas::SCHEMA_VERSION;
 use schemas::error::{Error, Result};
 use schemas::feature::{Feature, Raw, RawFeatures};
 use schemas::fingerprint::checksum;
-use schemas::guard::guarded;
+use schemas::guard::{Ending, guarded};
 use schemas::recording::{Provenance, table_bytes};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,8 +26,8 @@ fn torn(path: &str, e: impl std::fmt::Display) -> Error {
 ///
 /// # Errors
 /// Bytes that are no whole Parquet file, in words.
-pub fn opened(bytes: Bytes) -> std::result::Result<ParquetRecordBatchReaderBuilder<Bytes>, String> {
-    let open = || ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(|e| e.to_string());
+pub fn opened(bytes: Bytes) -> std::result::Result<ParquetRecordBatchReaderBuilder<Ending<Bytes>>, String> {
+    let open = || ParquetRecordBatchReaderBuilder::try_new(Ending(bytes)).map_err(|e| e.to_string());
     guarded(open).unwrap_or_else(|e| Err(e.into()))
 }
 
@@ -232,7 +232,7 @@ impl Table {
     fn read_trusting(path: &str, bytes: Bytes) -> Result<Self> {
         let size = bytes.len();
         let broken = |e: &dyn std::fmt::Display| torn(path, format!("not a whole Parquet file of {size} bytes ({e})"));
-        let builder = ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(|e| broken(&e))?;
+        let builder = ParquetRecordBatchReaderBuilder::try_new(Ending(bytes)).map_err(|e| broken(&e))?;
         let list = builder.metadata().file_metadata().key_value_metadata();
         let pairs = list
             .into_iter()
