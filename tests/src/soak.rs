@@ -66,9 +66,11 @@ pub struct Soaked {
     pub exact: u64,
     /// the others of them, and how often each was located exactly
     pub inexact: BTreeMap<u64, u64>,
-    /// runs begun before whoever had been killed was there again: any subscriber's answer begins a stream, so that the diagnoser may
+    /// other runs that no kill touched, begun before whoever had been killed was there again: any subscriber's answer begins a stream, so that the diagnoser may
     /// have come late, and the bridge sends again what it is not sure of
     pub begun_early: u64,
+    /// those of them that were not located once
+    pub early_inexact: u64,
     /// located diagnoses that are not the offline one, heard or logged
     pub wrong: u64,
     /// runs that a kill touched and that were located, exactly, all the same
@@ -453,36 +455,53 @@ enum Moment {
 pub fn soak(soak: &Soak<'_>, kills: u64, seed: u64, mut tell: impl FnMut(&Soaked)) -> Soaked {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut s = State::new(soak);
-    let mut untouched = Vec::new();
-    let mut touched_runs = Vec::new();
+    let mut runs = Vec::new();
     let mut run = 0;
     while s.seen.kills() < kills {
         run += 1;
-        let touched = one_run(&mut s, run, &mut rng);
+        let fate = one_run(&mut s, run, &mut rng);
         s.seen.runs += 1;
-        if touched {
-            touched_runs.push(run);
-        } else {
-            // received is not diagnosed: a kill before the diagnosis would touch the run after all
-            let end = Instant::now() + OWED;
-            while !s.exact.contains_key(&run) && Instant::now() < end {
-                s.listen(Duration::from_millis(20));
-            }
-            untouched.push(run);
+        runs.push((run, fate));
+        // received is not diagnosed: a kill before the diagnosis would touch the run after all
+        let end = Instant::now() + OWED;
+        while fate == Fate::Untouched && !s.exact.contains_key(&run) && Instant::now() < end {
+            s.listen(Duration::from_millis(20));
         }
         tell(&s.seen);
     }
     s.listen(Duration::from_millis(300));
-    s.seen.untouched = untouched.len() as u64;
-    let located = untouched.iter().map(|r| (*r, s.exact.get(r).copied().unwrap_or(0)));
-    s.seen.inexact = located.filter(|(_, n)| *n != 1).collect();
-    s.seen.exact = s.seen.untouched - s.seen.inexact.len() as u64;
-    s.seen.saved = touched_runs.iter().filter(|r| s.exact.contains_key(r)).count() as u64;
+    let of = |fate: Fate| {
+        let runs = runs.iter().filter(move |r| r.1 == fate);
+        runs.map(|(r, _)| (*r, s.exact.get(r).copied().unwrap_or(0)))
+    };
+    let (untouched, begun_early) = (of(Fate::Untouched).count() as u64, of(Fate::BegunEarly).count() as u64);
+    let inexact: BTreeMap<u64, u64> = of(Fate::Untouched).filter(|(_, n)| *n != 1).collect();
+    let early_inexact = of(Fate::BegunEarly).filter(|(_, n)| *n != 1).count() as u64;
+    let saved = of(Fate::Touched).filter(|(_, n)| *n > 0).count() as u64;
+    s.seen = Soaked {
+        untouched,
+        exact: untouched - inexact.len() as u64,
+        inexact,
+        begun_early,
+        early_inexact,
+        saved,
+        ..s.seen
+    };
     end(s, run + 1)
 }
 
-/// Replays the recording once, here or over the bridge, and perhaps kills; whether that touched the run.
-fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> bool {
+/// What a run went through.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fate {
+    Untouched,
+    /// begun before whoever had been killed was there again
+    BegunEarly,
+    /// by a kill while it ran
+    Touched,
+}
+
+/// Replays the recording once, here or over the bridge, and perhaps kills.
+fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> Fate {
     let number = run.to_string();
     // half of the runs wait for whoever was killed; what the others begin without them is theirs to suffer
     let start = Instant::now();
@@ -491,7 +510,6 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> bool {
         s.listen(Duration::from_millis(2));
     }
     let begun_early = !s.is_ready();
-    s.seen.begun_early += u64::from(begun_early);
     let speed = ["max", "max", "40", "15"][rng.random_range(0..4)];
     let frame = ["1", "5", "10", "50"][rng.random_range(0..4)];
     let is_bridged = rng.random_bool(0.5);
@@ -512,7 +530,7 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> bool {
     ];
     let mut replay = program(s.soak, domain, &args);
     let start = Instant::now();
-    let mut touched = begun_early;
+    let mut touched = false;
     // who is killed during this run (half of the time nobody), and when: while the programs start, or later
     let mut victims = Vec::new();
     if rng.random_bool(0.5) {
@@ -552,10 +570,14 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> bool {
             if matches!(moment, Some(Moment::OnHearing)) && start.elapsed() < OWED && status.code() == Some(0) {
                 continue;
             }
-            if !touched && status.code() != Some(0) {
+            if !touched && !begun_early && status.code() != Some(0) {
                 s.seen.failures.push(format!("run {run}: {}", replay.errors()));
             }
-            return touched;
+            return match (touched, begun_early) {
+                (true, _) => Fate::Touched,
+                (false, true) => Fate::BegunEarly,
+                (false, false) => Fate::Untouched,
+            };
         }
         if start.elapsed() > HANG {
             let said = format!("run {run}: {} / {}", replay.errors(), s.live.errors());
@@ -564,7 +586,7 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> bool {
             s.live.kill();
             s.read_live();
             s.start_again(Victim::Diagnoser);
-            return true;
+            return Fate::Touched;
         }
         touched |= s.look_after();
     }
@@ -596,8 +618,6 @@ fn end(mut s: State<'_>, run: u64) -> Soaked {
     s.listen(Duration::from_millis(50));
     let rows = logged(s.soak.log);
     s.compare(&rows);
-    // what the killed subscriber left is removed by whoever comes next
-    s.far.open().clean();
     let State {
         near,
         far,
@@ -607,6 +627,9 @@ fn end(mut s: State<'_>, run: u64) -> Soaked {
         ..
     } = s;
     drop(diagnoses);
+    // what the killed ones left is removed by whoever comes next
+    near.open().clean();
+    far.open().clean();
     let mut left: Vec<PathBuf> = near.segments();
     left.extend(far.segments());
     left.extend(beside(soak.log));

@@ -105,16 +105,42 @@ impl Domain {
         if !self.mend() {
             return;
         }
-        let mut dead = Vec::new();
-        let _ = Node::<Ipc>::list(&self.config, |state| {
-            if let NodeState::Dead(view) = state {
-                dead.push(view);
+        // looked for first: whoever has one of these and lives is in the list of nodes
+        let numbered = self.numbered();
+        let (mut dead, mut others) = (Vec::new(), 0);
+        let listed = Node::<Ipc>::list(&self.config, |state| {
+            match state {
+                NodeState::Dead(view) => dead.push(view),
+                _ => others += 1,
             }
             CallbackProgression::Continue
         });
         for view in dead {
             let _ = view.try_remove_stale_resources();
         }
+        if listed.is_ok() && others == 0 {
+            numbered.iter().for_each(|f| drop(std::fs::remove_file(f)));
+        }
+    }
+
+    /// Shared memory of this domain that has the unique number of its maker's port in its name: a process that dies while it
+    /// makes a port leaves some that its node does not tell of. Names without a number may be somebody's at any time; in iceoryx2's own
+    /// domain may be programs whose nodes are listed elsewhere: nothing of that.
+    fn numbered(&self) -> Vec<PathBuf> {
+        if self.config.global.prefix == Config::global_config().global.prefix {
+            return Vec::new();
+        }
+        let is_numbered = |name: &str| {
+            let number = name.rsplit_once('.').and_then(|(stem, _)| stem.rsplit_once('_'));
+            number.is_some_and(|(_, n)| n.len() > 20 && n.bytes().all(|b| b.is_ascii_digit()))
+        };
+        let all = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
+        all.filter(|e| {
+            let name = e.file_name().to_string_lossy().into_owned();
+            name.starts_with(&self.prefix()) && is_numbered(&name)
+        })
+        .map(|e| e.path())
+        .collect()
     }
 
     /// Removes folders of nodes that died so early, or whose cleaner died so late, that nothing but
@@ -297,4 +323,35 @@ fn version(type_name: &str) -> String {
 fn quiet() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| set_log_level_from_env_or(LogLevel::Fatal));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbered memory that no node tells of goes once nobody is there; what others may use stays.
+    #[test]
+    fn memory_of_nobody_is_removed() {
+        let name = format!("unit-{}-left", std::process::id());
+        let domain = Domain::new(&name).unwrap();
+        let shm = |rest: &str| PathBuf::from(format!("/dev/shm/{name}{rest}"));
+        let left = shm("_33c1ac61b54bf6edd0a0a8390f0c2fd7cf74d745_158456377198419910168097673810.event_mgmt");
+        let others = [
+            shm("_33c1ac61b54bf6edd0a0a8390f0c2fd7cf74d745.other"),
+            shm("-2_33c1ac61b54bf6edd0a0a8390f0c2fd7cf74d745_158456377198419910168097673810.event_mgmt"),
+        ];
+        let node = domain.node().unwrap();
+        std::fs::write(&left, "x").unwrap();
+        others.iter().for_each(|f| std::fs::write(f, "x").unwrap());
+        domain.clean();
+        assert!(left.exists(), "somebody is there");
+        drop(node);
+        domain.clean();
+        assert!(!left.exists());
+        for f in &others {
+            assert!(f.exists());
+            std::fs::remove_file(f).unwrap();
+        }
+        let _ = std::fs::remove_file(shm("_9204dd183d1c4d8e1ff592a30766ffa6765aa8b5_node.0_10_0.global_mgmt"));
+    }
 }
