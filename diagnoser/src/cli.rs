@@ -2,6 +2,7 @@
 
 use crate::live::Known;
 use crate::map_library::{Choice, MapLibrary};
+use crate::receive::foresight::Foresight;
 use crate::receive::maps::MapSource;
 use crate::receive::words::Counts;
 use crate::receive::{Options, Show, receive};
@@ -142,7 +143,13 @@ impl LiveArgs {
     ///
     /// # Errors
     /// Refuses a timeout of no length, and what [`receive`] refuses.
-    pub fn run(&self, known: Known, maps: MapSource, stop: &Arc<AtomicBool>) -> Result<u8> {
+    pub fn run(
+        &self,
+        known: Known,
+        maps: MapSource,
+        foresight: Option<Foresight>,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<u8> {
         self.check()?;
         let show = if self.json {
             Show::Json
@@ -161,6 +168,7 @@ impl LiveArgs {
             exit_after: self.exit_after,
             timeout: Duration::from_secs_f64(self.timeout),
             metrics: self.metrics.clone(),
+            foresight,
         };
         let counts: Counts = receive(options, maps, stop)?;
         let Counts {
@@ -209,7 +217,7 @@ fn run(program: &Program, stop: &Arc<AtomicBool>) -> Result<u8> {
     let (known, _) = program.live.known()?;
     let hint = "make them with `ema maps`, name them with --maps";
     let source = MapSource::saved(library, program.live.choice()?, hint);
-    program.live.run(known, source, stop)
+    program.live.run(known, source, None, stop)
 }
 
 /// The program `diagnoser`.

@@ -104,6 +104,23 @@ pub struct Status {
     pub outcome: Option<Outcome>,
     /// nothing more will be said of this run
     pub is_final: bool,
+    /// what its history foretells, where somebody works it out
+    pub foretold: Option<Foretold>,
+}
+
+/// What is foretold of one actuator: of its faults the one whose life ends first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Foretold {
+    /// fault or indicator
+    pub fault: String,
+    /// growth a unit of the clock
+    pub rate: Option<f64>,
+    /// remaining life: lower end, median, upper end of the interval [units of the clock]; infinite is never
+    pub left: Option<(f64, f64, f64)>,
+    /// unit of the clock: flight, cycle, hour or day
+    pub clock: &'static str,
+    /// what stands in place of a remaining life
+    pub status: String,
 }
 
 enum Maps {

@@ -1,15 +1,17 @@
 //! The live diagnoser as a process: frames from shared memory, diagnoses to a second service, to
 //! a log and to a screen.
 
+pub mod foresight;
 pub mod maps;
 mod observer;
 pub mod words;
 
-use crate::live::{Known, Live};
+use crate::live::{Known, Live, Status};
 use crate::log::Log;
 use crate::record::{Recording, record};
 use crate::report::{Logged, to_message};
 use crate::view::View;
+use foresight::Foresight;
 use maps::{MapSource, MapThreads};
 use observer::{Observer, State};
 use schemas::error::{Error, Result};
@@ -66,6 +68,8 @@ pub struct Options {
     pub timeout: Duration,
     /// file that numbers for monitoring are written to, again and again
     pub metrics: Option<PathBuf>,
+    /// what is foretold of actuators with a history
+    pub foresight: Option<Foresight>,
 }
 
 struct Receiving {
@@ -75,6 +79,7 @@ struct Receiving {
     counts: Counts,
     diagnoses: DiagnosisPublisher,
     log: Option<Log>,
+    foresight: Option<Foresight>,
     last_stray: String,
     /// why nothing can be said on standard output any more
     unsaid: Option<std::io::Error>,
@@ -93,6 +98,20 @@ impl Receiving {
             log_kept: log_kept as u64,
             log_dropped,
         }
+    }
+
+    /// How often something else was foretold.
+    fn foretellings(&self) -> u64 {
+        self.foresight.as_ref().map_or(0, Foresight::changes)
+    }
+
+    /// What is known of the actuators that have been tested, and foretold of them.
+    fn statuses(&self) -> Vec<Status> {
+        let mut all = self.live.statuses();
+        if let Some(f) = &self.foresight {
+            all.iter_mut().for_each(|s| s.foretold = f.of(&s.actuator));
+        }
+        all
     }
 
     /// Logs, then publishes and shows, what has been found.
@@ -114,6 +133,9 @@ impl Receiving {
             logged.publish_ns = message.publish_ns;
             if logged.report.is_final {
                 self.counts.concluded(&logged.report.diagnosis.outcome);
+                if let Some(foresight) = &self.foresight {
+                    foresight.hear(&logged);
+                }
             }
             let said = match self.show {
                 // of what is known so far only an area says anything to a person
@@ -188,6 +210,7 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
         counts: Counts::default(),
         diagnoses: DiagnosisPublisher::open(&options.domain, subscriber.node())?,
         log: options.log.as_deref().map(|p| Log::open(p, complain)).transpose()?,
+        foresight: options.foresight,
         last_stray: String::new(),
         unsaid: None,
         live: Live::new(options.known.clone()),
@@ -269,11 +292,11 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
             }
             if let Some(view) = &view
                 && drawn.elapsed() > PICTURE
-                && shown != Some(r.counts)
+                && shown != Some((r.counts, r.foretellings()))
             {
                 drawn = Instant::now();
-                shown = Some(r.counts);
-                view.show(r.live.statuses(), r.counts);
+                shown = Some((r.counts, r.foretellings()));
+                view.show(r.statuses(), r.counts);
             }
             if !options.busy {
                 subscriber.wait(if maps.looking > 0 { SLEEP_FOR_MAPS } else { SLEEP })?;
@@ -284,7 +307,7 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
     r.live.stop();
     result = result.and_then(|()| r.hand_out());
     if let Some(view) = view {
-        view.show(r.live.statuses(), r.counts);
+        view.show(r.statuses(), r.counts);
         view.close();
     }
     over.store(true, Ordering::Relaxed);

@@ -291,6 +291,7 @@ fn role_live(diagnoses: u64, busy: bool, core: Option<usize>) {
         exit_after: Some(diagnoses),
         timeout: Duration::from_secs(10),
         metrics: None,
+        foresight: None,
     };
     let source = MapSource::saved(library, Choice::usual(), "none in the cache");
     let start = cpu_s();

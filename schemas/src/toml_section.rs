@@ -266,6 +266,11 @@ impl Section {
         self.table.get(key).is_some_and(Value::is_array)
     }
 
+    /// Whether a key that is there is a section.
+    pub fn is_section(&self, key: &str) -> bool {
+        matches!(self.table.get(key), Some(Value::Table(_)))
+    }
+
     /// Whether a key is there and a text.
     pub fn is_text(&self, key: &str) -> bool {
         self.table.get(key).is_some_and(Value::is_str)

@@ -66,8 +66,9 @@ pub struct Soaked {
     pub exact: u64,
     /// the others of them, and how often each was located exactly
     pub inexact: BTreeMap<u64, u64>,
-    /// other runs that no kill touched, begun before whoever had been killed was there again: any subscriber's answer begins a stream, so that the diagnoser may
-    /// have come late, and the bridge sends again what it is not sure of
+    /// other runs that no kill touched, begun before whoever had been killed was there again (any subscriber's answer begins a stream, so
+    /// that the diagnoser may come late), or beside a bridge that was connecting again: it sends again what it is not sure of, so that
+    /// a run may come twice, or while an earlier one of the same name is under way
     pub begun_early: u64,
     /// those of them that were not located once
     pub early_inexact: u64,
@@ -175,6 +176,8 @@ struct State<'a> {
     sender: Program,
     /// connections that the sender has told of at the last kill of an end of the bridge
     connected: usize,
+    /// an end of the bridge was killed in this run or the one before
+    is_bridge_shaken: bool,
     receiver: Program,
     diagnoses: DiagnosisSubscriber,
     /// runs located exactly as offline
@@ -229,6 +232,7 @@ impl<'a> State<'a> {
             subscriber: subscriber(soak, &far),
             sender: sender(soak, &near, &address),
             connected: 0,
+            is_bridge_shaken: false,
             receiver,
             diagnoses,
             exact: BTreeMap::new(),
@@ -509,7 +513,8 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> Fate {
     while !s.is_ready() && start.elapsed() < patience {
         s.listen(Duration::from_millis(2));
     }
-    let begun_early = !s.is_ready();
+    let connected = connections(&s.sender);
+    let mut begun_early = !s.is_ready() || std::mem::take(&mut s.is_bridge_shaken);
     let speed = ["max", "max", "40", "15"][rng.random_range(0..4)];
     let frame = ["1", "5", "10", "50"][rng.random_range(0..4)];
     let is_bridged = rng.random_bool(0.5);
@@ -560,6 +565,7 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> Fate {
             for v in &victims {
                 // nobody waits for a subscriber that is dead, and its death is no excuse
                 touched |= s.kill(*v, &mut replay) && *v != Victim::Subscriber;
+                s.is_bridge_shaken |= [Victim::Sender, Victim::Receiver].contains(v);
             }
             // sometimes there is nobody for a while
             s.listen(Duration::from_millis(rng.random_range(0..100)));
@@ -573,6 +579,7 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> Fate {
             if !touched && !begun_early && status.code() != Some(0) {
                 s.seen.failures.push(format!("run {run}: {}", replay.errors()));
             }
+            begun_early |= connections(&s.sender) > connected;
             return match (touched, begun_early) {
                 (true, _) => Fate::Touched,
                 (false, true) => Fate::BegunEarly,

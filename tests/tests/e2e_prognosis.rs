@@ -408,3 +408,120 @@ fn e2e_a_log_of_live_diagnoses_is_read_as_it_is() {
         v["rul"]
     );
 }
+
+/// A fleet that wears: lives, simulated tests, diagnoses, prognoses, questions.
+#[test]
+fn e2e_a_fleet_that_wears_is_made_diagnosed_and_foretold() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let plan = r#"name = "worn"
+seed = 4
+grid = "coarse"
+sensors = "reference"
+rate_hz = 5000.0
+[aircraft]
+tails = { prefix = "T-", from = 1, count = 6 }
+positions = ["aileron"]
+[tests]
+per_actuator = 24
+[wear]
+flights = 240
+flights_per_day = { from = 2, to = 5 }
+missed = 0.1
+replaced = { share = 0.6, recorded = 1 }
+temperature = { yearly_k = 10, daily_k = 2 }
+[wear.fsj]
+life_flights = { from = 150, to = 500 }
+"#;
+    std::fs::write(path("plan.toml"), plan).unwrap();
+    let (fleet, outlook) = (path("fleet"), path("outlook"));
+    ok(&["dataset", "make", &path("plan.toml"), "--out", &fleet]);
+    ok(&["dataset", "verify", &fleet]);
+    refused(&["prognosis", &fleet], &["no diagnoses", "ema dataset diagnose"]);
+    ok(&["dataset", "diagnose", &fleet]);
+    ok(&["dataset", "verify", &fleet]);
+    // the same plan again: what the diagnosis added is no stranger
+    ok(&["dataset", "make", &path("plan.toml"), "--out", &fleet]);
+    let sql = "SELECT actuator, cycle, fsj, fsj_lo, fsj_hi, zeta, winding_temperature_degc AS warm FROM diagnoses ORDER BY run";
+    let rows: Value = serde_json::from_str(&ok(&[
+        "query", sql, "--data", &fleet, "--format", "json", "--rows", "0",
+    ]))
+    .unwrap();
+    let rows = rows.as_array().unwrap();
+    assert_eq!(rows.len(), 6 * 24);
+    let number = |r: &Value, k: &str| r[k].as_f64();
+    let held = rows
+        .iter()
+        .filter(|r| match (number(r, "fsj_lo"), number(r, "fsj_hi")) {
+            (Some(lo), Some(hi)) => (lo..=hi).contains(&number(r, "fsj").unwrap()),
+            _ => false,
+        });
+    assert!(held.count() > 115, "{rows:?}");
+    assert!(rows.iter().all(|r| number(r, "zeta") == Some(0.0)));
+    let warm: Vec<f64> = rows.iter().filter_map(|r| number(r, "warm")).collect();
+    assert!(
+        warm.iter().any(|k| *k < 15.0) && warm.iter().all(|k| (-10.0..50.0).contains(k)),
+        "{warm:?}"
+    );
+    // FSJ falls only where an actuator was replaced, which is on record
+    let events = std::fs::read_to_string(path("fleet/wear/events.csv")).unwrap();
+    let replaced: Vec<&str> = events.lines().skip(1).map(|l| l.split(',').next().unwrap()).collect();
+    assert!(!replaced.is_empty() && replaced.len() < 6, "{events}");
+    for pair in rows.windows(2).filter(|w| w[0]["actuator"] == w[1]["actuator"]) {
+        let fell = number(&pair[1], "fsj") < number(&pair[0], "fsj");
+        assert!(
+            !fell || replaced.contains(&pair[0]["actuator"].as_str().unwrap()),
+            "{pair:?}"
+        );
+    }
+    // read as it is; repairs of record are taken from it
+    ok(&[
+        "prognosis",
+        &fleet,
+        "--threshold",
+        "fsj=4",
+        "--clock",
+        "cycle",
+        "--out",
+        &outlook,
+    ]);
+    let ask = |question: &str| -> Vec<Value> {
+        let text = ok(&["query", question, "--data", &outlook, "--format", "json", "--rows", "0"]);
+        serde_json::from_str::<Value>(&text)
+            .unwrap()
+            .as_array()
+            .unwrap()
+            .clone()
+    };
+    let at_risk = ask("at-risk");
+    assert_eq!(at_risk.len(), 6, "{at_risk:?}");
+    let lo: Vec<f64> = at_risk
+        .iter()
+        .filter(|r| r["status"] != "passed")
+        .filter_map(|r| number(r, "rul_lo"))
+        .collect();
+    assert!(lo.is_sorted(), "{at_risk:?}");
+    let growth = ask("growth");
+    assert_eq!(growth.len(), 6, "{growth:?}");
+    let last: f64 = growth.iter().map(|r| number(r, "tests").unwrap()).sum();
+    assert!(
+        last < 6.0 * 24.0,
+        "tests before a replacement count no more: {growth:?}"
+    );
+    ask("what-changed");
+    let changed = ask("SELECT actuator FROM trends WHERE segment = 1 GROUP BY actuator");
+    assert!(!changed.is_empty(), "{events}");
+    let score = json(&[
+        "prognosis",
+        "score",
+        &fleet,
+        "--truth",
+        &path("fleet/wear/truth.csv"),
+        "--threshold",
+        "fsj=4",
+        "--clock",
+        "cycle",
+        "--json",
+    ]);
+    assert!(score["units"].as_u64().unwrap() >= 3, "{score}");
+}

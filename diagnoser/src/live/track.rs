@@ -353,6 +353,7 @@ impl Track {
             features: self.features,
             outcome: self.outcome.clone(),
             is_final: self.is_final(),
+            foretold: None,
         }
     }
 

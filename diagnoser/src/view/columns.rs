@@ -2,7 +2,7 @@
 //! is shown whole or not at all, so that an interval never loses a bound; only names and reasons are cut.
 
 use crate::diagnosis::Outcome;
-use crate::live::Status;
+use crate::live::{Foretold, Status};
 use schemas::fault::Interval;
 use schemas::feature::{Feature, Raw};
 
@@ -23,9 +23,12 @@ const LEAST_REASON: usize = 12;
 pub(super) const ACTUATOR: &str = "actuator";
 pub(super) const OUTCOME: &str = "outcome";
 const REASON: &str = "reason";
+/// Shown where anything is foretold of anybody.
+const LEFT: &str = "life left";
+const RATE: &str = "rate";
 
 /// In the order in which they are shown.
-const COLUMNS: [Column; 13] = [
+const COLUMNS: [Column; 15] = [
     column(ACTUATOR, 0, |s| s.actuator.clone()),
     column("run", 5, |s| s.run.to_string()),
     column("phase", 7, |s| s.phase.clone()),
@@ -44,6 +47,8 @@ const COLUMNS: [Column; 13] = [
     column("zeta", 2, |s| {
         intervals(s).map_or("-".into(), |(_, zeta)| interval(zeta, 4))
     }),
+    column(LEFT, 2, left),
+    column(RATE, 4, rate),
     column(OUTCOME, 0, outcome),
     column(REASON, 6, |s| reason(s).to_string()),
 ];
@@ -75,6 +80,33 @@ pub(super) fn outcome(s: &Status) -> String {
         (None, true) => "in the log".into(),
         (None, false) => "-".into(),
     }
+}
+
+/// The interval of the remaining life, of the fault whose life ends first.
+fn left(s: &Status) -> String {
+    let Some(f) = &s.foretold else { return String::new() };
+    let Some((lo, hi, _)) = f.left else {
+        return format!("{} {}", f.fault, f.status);
+    };
+    let end = |x: f64| {
+        if x.is_finite() {
+            format!("{x:.0}")
+        } else {
+            "never".into()
+        }
+    };
+    let unit = if hi.is_finite() {
+        format!(" {}s", f.clock)
+    } else {
+        String::new()
+    };
+    format!("{} {} .. {}{unit}", f.fault, end(lo), end(hi))
+}
+
+/// Growth of that fault.
+fn rate(s: &Status) -> String {
+    let of = |f: &Foretold| Some(format!("{:.2e}/{}", f.rate?, f.clock));
+    s.foretold.as_ref().and_then(of).unwrap_or_default()
 }
 
 /// Why there is no area, or none by all maps.
@@ -126,7 +158,9 @@ pub(super) fn fitting(rows: &[&Status], width: usize) -> Vec<(Column, usize)> {
             _ => widest,
         }
     };
+    let is_told = rows.iter().any(|s| s.foretold.is_some());
     let mut by_rank: Vec<usize> = (0..COLUMNS.len()).collect();
+    by_rank.retain(|i| is_told || ![LEFT, RATE].contains(&COLUMNS[*i].name));
     by_rank.sort_by_key(|i| COLUMNS[*i].rank);
     let mut taken: Vec<(usize, usize)> = Vec::new();
     let mut left = width;

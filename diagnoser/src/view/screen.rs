@@ -4,7 +4,8 @@
 use super::Picture;
 use super::columns::{ACTUATOR, OUTCOME, cut, fitting, outcome, reason, verdict};
 use crate::diagnosis::Outcome;
-use crate::live::Status;
+use crate::live::{Foretold, Status};
+use crate::prognosis::Status as Stand;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Style, Stylize};
@@ -37,8 +38,8 @@ pub(super) struct Screen {
     table: TableState,
 }
 
-/// How bad it is: what the model cannot explain first, a healthy actuator last.
-fn rank(s: &Status) -> (u8, Reverse<u64>) {
+/// How bad it is: what the model cannot explain first, then those with a history by their remaining life, a healthy actuator last.
+fn rank(s: &Status) -> (u8, u64, Reverse<u64>) {
     let class = match (&s.outcome, s.is_final) {
         (Some(Outcome::Unexplained { .. }), true) => 0,
         (Some(Outcome::OutOfRange { .. }), true) => 1,
@@ -47,7 +48,19 @@ fn rank(s: &Status) -> (u8, Reverse<u64>) {
         (_, false) => 4,
         _ => 5,
     };
-    (class, Reverse(severity(s)))
+    (class, if class == 5 { soonest(s) } else { 0 }, Reverse(severity(s)))
+}
+
+/// Lower end of the remaining life in thousandths; passed first, unknown last.
+fn soonest(s: &Status) -> u64 {
+    match &s.foretold {
+        Some(f) if f.status == Stand::Passed.name() => 0,
+        // a number that is too great, or infinite, is the greatest one
+        Some(Foretold {
+            left: Some((lo, ..)), ..
+        }) => ((1000.0 * lo) as u64).saturating_add(1).min(u64::MAX - 1),
+        _ => u64::MAX,
+    }
 }
 
 /// Of located faults: the greater of both, as a share of the usual range of maps (FSJ 1 to 5, zeta 0 to 0.5), in

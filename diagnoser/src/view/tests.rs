@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::diagnosis::{Area, Outcome};
+use crate::live::Foretold;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use schemas::fault::Interval;
 use schemas::feature::{Feature, Features, RawFeatures};
@@ -32,7 +33,18 @@ fn status(actuator: &str, outcome: Option<Outcome>) -> Status {
         raw: RawFeatures::default(),
         features: Features::default().with(Feature::P1, Some(0.05307)),
         is_final: outcome.is_some(),
+        foretold: None,
         outcome,
+    }
+}
+
+fn foretold(rate: f64, left: (f64, f64, f64)) -> Foretold {
+    Foretold {
+        fault: "fsj".into(),
+        rate: Some(rate),
+        left: Some(left),
+        clock: "flight",
+        status: "ok".into(),
     }
 }
 
@@ -183,4 +195,51 @@ fn prop_cuts_and_bars_are_as_wide_as_they_may_be() {
     }
     assert_eq!(bar(u64::MAX, u64::MAX, 6), "██████");
     assert_eq!(bar(5, 0, 6), "······");
+}
+
+#[test]
+fn prop_what_is_foretold_is_shown_with_the_soonest_end_first() {
+    let mut p = sixty();
+    assert!(
+        !drawn(&mut Screen::default(), &p, 160, 24)
+            .join("")
+            .contains("life left"),
+        "no history, no column"
+    );
+    for (name, rate, left) in [
+        ("healthy-09", 0.012, (80.2, 240.7, 130.4)),
+        ("healthy-30", 0.25, (7.1, 12.9, 9.4)),
+        ("healthy-44", 0.0, (900.0, f64::INFINITY, f64::INFINITY)),
+    ] {
+        let s = p.statuses.iter_mut().find(|s| s.actuator == name).unwrap();
+        s.foretold = Some(foretold(rate, left));
+    }
+    let text = drawn(&mut Screen::default(), &p, 160, 24);
+    // what cannot be explained comes before, actuators without a history after
+    let place = |name: &str| text[4..].iter().position(|l| l.contains(name)).unwrap();
+    assert!(place("in-test") < place("healthy-30"), "{text:#?}");
+    assert!(place("healthy-30") < place("healthy-09") && place("healthy-09") < place("healthy-44"));
+    assert!(place("healthy-44") < place("zz-worn"));
+    let line = |name: &str| text[4..].iter().find(|l| l.contains(name)).unwrap();
+    assert!(
+        line("healthy-30").contains("fsj 7 .. 13 flights") && line("healthy-30").contains("2.50e-1/flight"),
+        "{text:#?}"
+    );
+    assert!(line("healthy-44").contains("fsj 900 .. never"), "{text:#?}");
+    let passed = &mut p
+        .statuses
+        .iter_mut()
+        .find(|s| s.actuator == "healthy-09")
+        .unwrap()
+        .foretold;
+    *passed = Some(Foretold {
+        rate: None,
+        left: None,
+        status: "passed".into(),
+        ..foretold(0.0, (0.0, 0.0, 0.0))
+    });
+    let text = drawn(&mut Screen::default(), &p, 160, 24);
+    let place = |name: &str| text[4..].iter().position(|l| l.contains(name)).unwrap();
+    assert!(place("healthy-09") < place("healthy-30"), "{text:#?}");
+    assert!(text.join("").contains("fsj passed"), "{text:#?}");
 }

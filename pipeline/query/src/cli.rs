@@ -28,9 +28,10 @@ enum Format {
     version,
     about = "SQL and ready questions over a dataset",
     after_help = "Tables: runs (telemetry), features (one row a run), maps (one row a grid point and feature), actuators,\n\
-    diagnoses, intervals. Ready questions: ema query --list\n\
+    diagnoses, intervals; of ema prognosis --out: trends, prognoses, alarms. Ready questions: ema query --list\n\
     Example: ema query \"SELECT zeta, AVG(p2_a) AS p2 FROM features GROUP BY zeta ORDER BY zeta\" --data dataset\n\
-    Example: ema query out-of-family --data fleet"
+    Example: ema query out-of-family --data fleet\n\
+    Example: ema query at-risk --data outlook"
 )]
 struct QueryArgs {
     /// One SQL query (SELECT, WITH, UNION ..., EXPLAIN of one, SHOW TABLES), or the name of a ready question

@@ -1,4 +1,4 @@
-//! The tables of a dataset folder.
+//! The tables of a dataset folder, and of a prognosis' folder.
 
 use anyhow::Result;
 use polars::prelude::*;
@@ -22,17 +22,26 @@ pub enum Table {
     Diagnoses,
     /// A view of `diagnoses`: one row a diagnosis and fault.
     Intervals,
+    /// Of a prognosis: one row a test and fault.
+    Trends,
+    /// One row an actuator and fault.
+    Prognoses,
+    /// One row an alarm.
+    Alarms,
 }
 
 impl Table {
     /// All, in the order of the help.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 9] = [
         Self::Runs,
         Self::Features,
         Self::Actuators,
         Self::Maps,
         Self::Diagnoses,
         Self::Intervals,
+        Self::Trends,
+        Self::Prognoses,
+        Self::Alarms,
     ];
 
     /// Name in SQL.
@@ -44,6 +53,9 @@ impl Table {
             Self::Maps => "maps",
             Self::Diagnoses => "diagnoses",
             Self::Intervals => "intervals",
+            Self::Trends => "trends",
+            Self::Prognoses => "prognoses",
+            Self::Alarms => "alarms",
         }
     }
 
@@ -56,6 +68,9 @@ impl Table {
             Self::Maps => "failure maps, one row a grid point and feature",
             Self::Diagnoses => "one row a diagnosed test",
             Self::Intervals => "one row a diagnosis and fault",
+            Self::Trends => "of a prognosis: level and rate, one row a test and fault",
+            Self::Prognoses => "of a prognosis: remaining life, one row an actuator and fault",
+            Self::Alarms => "of a prognosis: one row an alarm",
         }
     }
 
@@ -66,6 +81,7 @@ impl Table {
             Self::Features | Self::Actuators => "made by ema simulate or ema dataset make",
             Self::Maps => "made by ema maps",
             Self::Diagnoses | Self::Intervals => "made by ema dataset diagnose",
+            Self::Trends | Self::Prognoses | Self::Alarms => "made by ema prognosis HISTORY --out FOLDER",
         }
     }
 
@@ -77,6 +93,9 @@ impl Table {
             Self::Actuators => "actuators/*.parquet",
             Self::Maps => "maps/*.parquet",
             Self::Diagnoses | Self::Intervals => "diagnoses/*.parquet",
+            Self::Trends => "trends.parquet",
+            Self::Prognoses => "prognoses.parquet",
+            Self::Alarms => "alarms.parquet",
         }
     }
 
@@ -112,9 +131,7 @@ impl Table {
         match self {
             Self::Runs => runs(&pattern),
             Self::Intervals => intervals(scan(&pattern, ScanArgsParquet::default())?),
-            Self::Features | Self::Actuators | Self::Maps | Self::Diagnoses => {
-                scan(&pattern, ScanArgsParquet::default())
-            }
+            _ => scan(&pattern, ScanArgsParquet::default()),
         }
     }
 }

@@ -142,7 +142,7 @@ struct BenchArgs {
 }
 
 /// Which actuator.
-#[derive(Args)]
+#[derive(Args, Default)]
 pub struct ActuatorArg {
     /// Actuator parameters, a TOML file; the reference actuator (values assumed) if left out
     #[arg(long)]

@@ -1,10 +1,13 @@
 //! `ema prognosis`.
 
-use super::say;
+use super::{ActuatorArg, say};
 use crate::Interrupted;
+use crate::dataset::wear::EVENTS;
 use crate::prognosis::learn::{Ends, Unit, learn, units_of};
-use crate::prognosis::page::report;
-use crate::prognosis::read::{End, Sheet, Test, events, truths};
+use crate::prognosis::live::foresight;
+use crate::prognosis::margin::{Margin, STALL};
+use crate::prognosis::page::{report, scores};
+use crate::prognosis::read::{End, Sheet, Test, events, history_file, truths};
 use crate::prognosis::score::{Scored, score, to_json as score_json, to_text as score_text};
 use crate::prognosis::words::{text, to_json};
 use crate::prognosis::{Asked, Clock, Events, Threshold, Told, clock_of, learn as fleet_file, outlooks, tables};
@@ -12,12 +15,16 @@ use crate::progress::{interrupted, note};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::prognosis::Fleet;
+use diagnoser::receive::foresight::Foresight;
 use schemas::error::Error;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
+
+/// Risk that is taken where nobody asks.
+const RISK: f64 = 0.01;
 
 #[derive(Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
@@ -40,8 +47,8 @@ enum Sub {
 
 #[derive(Args)]
 struct PrognosisArgs {
-    /// Diagnoses over time: a log of ema live (.jsonl, .parquet), or a table (.csv, .parquet) with the columns actuator,
-    /// time (ISO, or a number) or cycle, outcome, fsj_lo, fsj_hi, fsj_estimate, zeta_lo ..., coverage
+    /// Diagnoses over time: a log of ema live (.jsonl, .parquet), a dataset that wears and was diagnosed, or a table (.csv, .parquet)
+    /// with the columns actuator, time (ISO, or a number) or cycle, outcome, fsj_lo, fsj_hi, fsj_estimate, zeta_lo ..., coverage
     #[arg(required = true)]
     history: Option<PathBuf>,
     #[command(flatten)]
@@ -50,7 +57,7 @@ struct PrognosisArgs {
     #[arg(long)]
     fleet: Option<PathBuf>,
     /// Probability of having passed the threshold that is taken
-    #[arg(long, default_value = "0.01", value_parser = risk)]
+    #[arg(long, default_value_t = RISK, value_parser = risk)]
     risk: f64,
     /// One more time ahead at which the probability of failure is told, beside 10, 20 and 50 [units of the clock]
     #[arg(long, value_parser = positive)]
@@ -68,14 +75,17 @@ struct PrognosisArgs {
 
 #[derive(Args)]
 struct WhatArgs {
-    /// Fault and the level that ends its life, such as fsj=4 or zeta=0.4; may be repeated. Left out: fsj=4 and zeta=0.4 where
-    /// the table has them (assumed)
+    /// Fault and the level that ends its life, such as fsj=4 or zeta=0.4; or stall=LOAD, a load torque at the motor such as 0.4Nm that is
+    /// no longer moved in time, by simulation; may be repeated. Left out: fsj=4 and zeta=0.4 where the table has them (assumed)
     #[arg(long, value_name = "FAULT=LEVEL")]
     threshold: Vec<String>,
+    /// For stall=LOAD
+    #[command(flatten)]
+    actuator: ActuatorArg,
     /// In what time is counted; the clock in which laws fit better where a table has two
     #[arg(long)]
     clock: Option<Clock>,
-    /// Repairs and other interventions, a CSV file with the columns actuator, time or cycle, kind (repair, replacement,
+    /// Repairs and other interventions (those of a dataset are found), a CSV file with the columns actuator, time or cycle, kind (repair, replacement,
     /// lubrication, configuration, sensor), fault, note
     #[arg(long)]
     events: Option<PathBuf>,
@@ -116,7 +126,7 @@ struct ScoreArgs {
     /// What a fleet of other units has taught
     #[arg(long)]
     fleet: Option<PathBuf>,
-    /// Folder for scores.csv, a row a forecast
+    /// Folder for scores.csv, a row a forecast, and report.html with the reliability diagram
     #[arg(long)]
     out: Option<PathBuf>,
     /// Keys for programs
@@ -144,9 +154,29 @@ pub fn prognosis(c: &PrognosisCommand) -> Result<ExitCode> {
     }
 }
 
+/// Where a load is no longer moved, for people.
+fn stall_words(m: &Margin) -> String {
+    let at = |k: usize| m.fsj.get(k).map_or("-".into(), |f| format!("{f:.2}"));
+    let last = m.fsj.len() - 1;
+    format!(
+        "a load of {} N m at the motor is no longer moved in time from FSJ {} (zeta 0), {} (zeta 0.5) on, by simulation; in time: half of the \
+         healthy speed without a load (assumed). Levels: (FSJ - 1) over the way to it",
+        m.load_n_m,
+        at(0),
+        at(last)
+    )
+}
+
 /// Thresholds that are named, or those that are usual for the faults that a table has.
 fn thresholds(w: &WhatArgs, table: &Sheet, from_truth: Vec<Threshold>) -> Result<Vec<Threshold>> {
     let named = w.threshold.iter().map(|text| {
+        if let Some((fault, load)) = text.split_once('=')
+            && fault.trim().eq_ignore_ascii_case(STALL)
+        {
+            let margin = Margin::simulate(&w.actuator.read()?, Margin::load(load)?)?;
+            note(&stall_words(&margin));
+            return Ok(Threshold::stall(margin));
+        }
         let (fault, level) = match (text.split_once('='), &w.column) {
             (Some((f, l)), _) => (f.trim().to_ascii_lowercase(), l),
             (None, Some(c)) => (c.to_ascii_lowercase(), text.as_str()),
@@ -157,7 +187,7 @@ fn thresholds(w: &WhatArgs, table: &Sheet, from_truth: Vec<Threshold>) -> Result
         match level.trim().parse::<f64>() {
             Ok(l) if l.is_finite() && is_known => Ok(Threshold::new(&fault, l, w.healthy)),
             _ => {
-                let allowed = "FAULT=LEVEL with fsj, zeta or the column of --column, and a number";
+                let allowed = "FAULT=LEVEL with fsj, zeta or the column of --column and a number, or stall=LOAD such as stall=0.4Nm";
                 Err(Error::bad("command line", "--threshold", text, allowed).into())
             }
         }
@@ -212,19 +242,56 @@ fn asked(w: &WhatArgs, thresholds: Vec<Threshold>, risk: f64, horizon: Option<f6
     }
 }
 
-fn events_of(w: &WhatArgs) -> Result<Events> {
-    w.events.as_deref().map_or_else(|| Ok(Events::new()), events)
+/// What is recorded: the file that is named, or what lies in the datasets that histories are of.
+fn events_of(w: &WhatArgs, histories: &[PathBuf]) -> Result<Events> {
+    if let Some(named) = &w.events {
+        return events(named);
+    }
+    let mut all = Events::new();
+    for file in histories.iter().map(|h| h.join(EVENTS)).filter(|f| f.exists()) {
+        for (unit, list) in events(&file)? {
+            all.entry(unit).or_default().extend(list);
+        }
+    }
+    Ok(all)
 }
 
 fn fleets_of(path: Option<&Path>) -> Result<Vec<Fleet>> {
     path.map_or_else(|| Ok(Vec::new()), fleet_file::read)
 }
 
+/// What the live view foretells from a history, in the usual way.
+///
+/// # Errors
+/// As `ema prognosis` with the same history.
+pub(super) fn foresight_of(
+    history: &Path,
+    threshold: &[String],
+    events: Option<PathBuf>,
+    fleet: Option<&Path>,
+) -> Result<Foresight> {
+    let w = WhatArgs {
+        threshold: threshold.to_vec(),
+        clock: None,
+        events,
+        column: None,
+        healthy: None,
+        actuator: ActuatorArg::default(),
+    };
+    let table = Sheet::read(&history_file(history)?)?;
+    let asked = asked(&w, thresholds(&w, &table, Vec::new())?, RISK, None);
+    let table = asked.prepared(table)?;
+    let events = events_of(&w, &[history.to_path_buf()])?;
+    foresight(&table, events, asked, fleets_of(fleet)?)
+}
+
 fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
-    let file = a.history.clone().unwrap_or_default();
+    let place = a.history.clone().unwrap_or_default();
+    let file = history_file(&place)?;
     let mut size = std::fs::metadata(&file).map_or(0, |m| m.len());
-    let mut table = Sheet::read(&file)?;
+    let table = Sheet::read(&file)?;
     let asked = asked(&a.what, thresholds(&a.what, &table, Vec::new())?, a.risk, a.horizon);
+    let mut table = asked.prepared(table)?;
     let fleets = fleets_of(a.fleet.as_deref())?;
     let mut said: BTreeMap<(String, String), usize> = BTreeMap::new();
     loop {
@@ -232,7 +299,7 @@ fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
         let told = outlooks(
             &file.display().to_string(),
             &units,
-            &events_of(&a.what)?,
+            &events_of(&a.what, std::slice::from_ref(&place))?,
             &asked,
             &fleets,
         )?;
@@ -259,7 +326,7 @@ fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
                 return Err(Interrupted.into());
             }
         }
-        table = Sheet::read(&file)?;
+        table = asked.read(&file)?;
     }
 }
 
@@ -278,14 +345,19 @@ fn written(dir: &Path, told: &[Told], fleets: &[Fleet], quiet: bool) -> Result<(
 
 /// All files of a command.
 fn tables_of(files: &[PathBuf]) -> Result<Vec<Sheet>> {
-    files.iter().map(|f| Sheet::read(f)).collect()
+    files.iter().map(|f| Sheet::read(&history_file(f)?)).collect()
+}
+
+fn prepared(files: Vec<Sheet>, asked: &Asked) -> Result<Vec<Sheet>> {
+    files.into_iter().map(|f| asked.prepared(f)).collect()
 }
 
 fn learned(a: &LearnArgs) -> Result<ExitCode> {
     let truth = a.truth.as_deref().map(truths).transpose()?.unwrap_or_default();
     let files = tables_of(&a.history)?;
-    let asked = asked(&a.what, thresholds(&a.what, &files[0], Vec::new())?, 0.01, None);
-    let (units, clock) = units_by_fault(&files, &a.what, &asked, None, &truth)?;
+    let asked = asked(&a.what, thresholds(&a.what, &files[0], Vec::new())?, RISK, None);
+    let files = prepared(files, &asked)?;
+    let (units, clock) = units_by_fault((&files, &a.history), &a.what, &asked, None, &truth)?;
     let mut fleets = Vec::new();
     let mut n = 0;
     for (t, units) in asked.thresholds.iter().zip(&units) {
@@ -316,7 +388,7 @@ fn learned(a: &LearnArgs) -> Result<ExitCode> {
 
 /// Units with their ends, those of different files apart, by threshold.
 fn units_by_fault(
-    files: &[Sheet],
+    (files, histories): (&[Sheet], &[PathBuf]),
     w: &WhatArgs,
     asked: &Asked,
     fleet: Option<&Fleet>,
@@ -326,7 +398,7 @@ fn units_by_fault(
     for f in files {
         all.extend(f.history(&asked.faults())?);
     }
-    let events = events_of(w)?;
+    let events = events_of(w, histories)?;
     let tests: Vec<(&String, &Vec<Test>)> = all.iter().map(|(name, tests)| (name, tests)).collect();
     let clock = clock_of(files[0].file(), &tests, &events, asked, fleet)?;
     let of = |(i, t): (usize, &Threshold)| units_of(&all, &events, truth, (t, i), clock);
@@ -356,10 +428,11 @@ fn scored(a: &ScoreArgs) -> Result<ExitCode> {
     let truth = truths(&a.truth)?;
     let files = tables_of(&a.history)?;
     let fleets = fleets_of(a.fleet.as_deref())?;
-    let asked = asked(&a.what, thresholds(&a.what, &files[0], named_in(&truth))?, 0.01, None);
-    let (units, _) = units_by_fault(&files, &a.what, &asked, fleets.first(), &truth)?;
+    let asked = asked(&a.what, thresholds(&a.what, &files[0], named_in(&truth))?, RISK, None);
+    let files = prepared(files, &asked)?;
+    let (units, _) = units_by_fault((&files, &a.history), &a.what, &asked, fleets.first(), &truth)?;
     let mut rows = String::from("fault,unit,lambda,truth,median,lo,hi,crps\n");
-    let mut objects = Vec::new();
+    let (mut objects, mut replayed) = (Vec::new(), Vec::new());
     for (t, units) in asked.thresholds.iter().zip(&units) {
         let fleet = fleets.iter().find(|f| f.fault == t.fault);
         let s: Scored = score(units, fleet, &asked.horizons)?;
@@ -381,6 +454,7 @@ fn scored(a: &ScoreArgs) -> Result<ExitCode> {
                 t.fault, f.lambda, f.truth, f.median, f.lo, f.hi, f.crps
             );
         }
+        replayed.push((t.fault.clone(), t.level, s));
     }
     if a.json {
         let whole = if objects.len() == 1 {
@@ -393,6 +467,11 @@ fn scored(a: &ScoreArgs) -> Result<ExitCode> {
     if let Some(dir) = &a.out {
         std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
         schemas::error::write_whole(&dir.join("scores.csv"), rows.as_bytes())?;
+        let pages = crate::report::write(&scores(&replayed), dir, "report.html")?;
+        if !a.json {
+            let page = pages.last().map_or_else(String::new, |p| p.display().to_string());
+            say(&format!("wrote     {page}, scores.csv beside it"));
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

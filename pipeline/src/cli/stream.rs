@@ -39,6 +39,19 @@ pub struct LiveCommand {
     /// Make no maps: a test without saved ones is incomplete
     #[arg(long)]
     no_make: bool,
+    /// What was diagnosed before, as ema prognosis takes it (an earlier log, a table, a dataset): the view then shows rate and remaining
+    /// life of each actuator, and goes on from there with each final diagnosis
+    #[arg(long, value_name = "FILE")]
+    history: Option<PathBuf>,
+    /// Fault and the level that ends its life, such as fsj=4; may be repeated [default: fsj=4 and zeta=0.4]
+    #[arg(long, value_name = "FAULT=LEVEL", requires = "history")]
+    threshold: Vec<String>,
+    /// Repairs, as ema prognosis takes them
+    #[arg(long, value_name = "FILE", requires = "history")]
+    events: Option<PathBuf>,
+    /// What a fleet has taught, a file of ema prognosis learn
+    #[arg(long, value_name = "FILE", requires = "history")]
+    fleet: Option<PathBuf>,
 }
 
 pub fn live(a: &LiveCommand) -> Result<ExitCode> {
@@ -62,8 +75,17 @@ pub fn live(a: &LiveCommand) -> Result<ExitCode> {
         };
         MapSource::saved(MapLibrary::open(&a.live.maps)?, choice, hint)
     };
+    let foresight = a.history.as_ref().map(|history| {
+        let (events, fleet) = (a.events.clone(), a.fleet.as_deref());
+        super::prognosis::foresight_of(history, &a.threshold, events, fleet)
+    });
     let stop: Arc<AtomicBool> = crate::progress::interrupt_flag();
-    Ok(ExitCode::from(a.live.run(known, source, &stop)?))
+    Ok(ExitCode::from(a.live.run(
+        known,
+        source,
+        foresight.transpose()?,
+        &stop,
+    )?))
 }
 
 /// What threads that make maps are nice by: diagnoses go first, on one core too.

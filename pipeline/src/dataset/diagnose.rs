@@ -1,10 +1,10 @@
-//! Diagnoses of a fleet's random tests: by each actuator's own maps, or by those of the type.
+//! Diagnoses of a fleet's tests: by each actuator's own maps, or by those of the type.
 
 use super::maps::{maps_of, pairs};
-use super::{Dataset, Rows, grids};
+use super::{Dataset, Rows, grids, wear};
 use crate::calibrate::{Effort, draw_units, measure, range, score_all, scores};
 use anyhow::Result;
-use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt64Array};
+use arrow::array::{Array, ArrayRef, Float64Array, RecordBatch, StringArray, TimestampMicrosecondArray, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
 use diagnoser::calibration::{COVERAGE, Calibration};
 use diagnoser::diagnosis::{Diagnoser, Diagnosis, Outcome, Score};
@@ -14,6 +14,7 @@ use schemas::fault::{FaultState, Interval};
 use schemas::feature::{Features, RawFeatures};
 use schemas::recording::table_bytes;
 use sim_worker::dataset::parts::Kind;
+use sim_worker::dataset::wear::WornTest;
 use sim_worker::spread::{Cause, Spread};
 use std::sync::Arc;
 
@@ -23,6 +24,8 @@ const FEWEST: usize = 50;
 /// A test of one actuator.
 struct Test {
     run: u64,
+    /// place in the life of an actuator that wears
+    worn: Option<WornTest>,
     actuator: usize,
     sequence: usize,
     fault: FaultState,
@@ -63,6 +66,7 @@ fn tests<'a>(d: &'a Dataset, set: &'a FailureMapSet, rows: &'a [Rows<'a>]) -> im
             let raw = RawFeatures::from_values(v.map(|x| x.0), Some(set.header.kind.rest_angle_rad));
             Test {
                 run,
+                worn: d.plan.worn(r.part, run).copied(),
                 actuator: r.part.actuator,
                 sequence: r.part.sequence,
                 fault: d.plan.fault(r.part, run),
@@ -220,7 +224,7 @@ fn write(
         _ => String::new(),
     };
     let actuator = |t: &Test| &d.plan.actuators[t.actuator];
-    let list: Vec<(&str, DataType, bool, ArrayRef)> = vec![
+    let mut list: Vec<(&str, DataType, bool, ArrayRef)> = vec![
         (
             "run",
             DataType::UInt64,
@@ -261,6 +265,20 @@ fn write(
         ("reason", DataType::Utf8, false, text(&|_, r| r.outcome.reason().into())),
         ("maps", DataType::Utf8, false, text(&|_, _| maps.into())),
     ];
+    if d.plan.life(0).is_some() {
+        // a test of a life has its place in it
+        let worn = |f: fn(&WornTest) -> f64| number(&|t, _| t.worn.as_ref().map(f));
+        let time = results.iter().map(|(t, _)| t.worn.map(|w| wear::microseconds(w.day)));
+        let time = TimestampMicrosecondArray::from_iter(time).with_timezone("UTC");
+        let base = |t: &Test| actuator(t).parameters.temperature_degc;
+        let warm = number(&|t, _| t.worn.map(|w| base(t) + w.warmer_k));
+        list.extend([
+            ("cycle", DataType::Float64, true, worn(|w| w.flight as f64)),
+            ("time", time.data_type().clone(), true, Arc::new(time) as ArrayRef),
+            ("winding_temperature_degc", DataType::Float64, true, warm),
+        ]);
+        wear::write(d)?;
+    }
     let fields: Vec<Field> = list
         .iter()
         .map(|(n, t, null, _)| Field::new(*n, t.clone(), *null))

@@ -4,6 +4,7 @@ pub(crate) mod diagnose;
 pub(crate) mod estimate;
 pub(crate) mod export;
 pub mod maps;
+pub mod wear;
 
 use anyhow::Result;
 use schemas::error::Error;

@@ -1,6 +1,8 @@
 //! Prognosis of a fleet: histories in, outlooks, tables and figures out.
 
 pub mod learn;
+pub mod live;
+pub mod margin;
 pub mod page;
 pub mod read;
 pub mod score;
@@ -13,11 +15,16 @@ use diagnoser::prognosis::fleet::Left;
 use diagnoser::prognosis::outlook::{Question, outlook};
 use diagnoser::prognosis::special::middle;
 use diagnoser::prognosis::{Ended, Fleet, Happening, History, Outlook, Prior, Row, Scale, Status, Track};
+use margin::{Margin, STALL};
 use rayon::prelude::*;
-use read::{Event, Level, Moment, Test, Units};
+use read::{Event, Level, Moment, Sheet, Test, Units};
 use schemas::error::Error;
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
+
+/// In place of a fault: the first of several thresholds.
+const JOINT: &str = "joint";
 
 /// Units by which clocks are compared at most.
 const COMPARED: usize = 40;
@@ -70,6 +77,8 @@ pub struct Threshold {
     pub level: f64,
     /// level of a healthy unit; the first tests' where it is not said
     pub healthy: Option<f64>,
+    /// of a threshold of function: how its levels follow from FSJ and zeta
+    pub margin: Option<Arc<Margin>>,
 }
 
 impl Threshold {
@@ -84,6 +93,17 @@ impl Threshold {
             fault: fault.into(),
             level,
             healthy: healthy.or(known),
+            margin: None,
+        }
+    }
+
+    /// A load that is no longer moved in time.
+    pub fn stall(margin: Margin) -> Self {
+        Self {
+            fault: STALL.into(),
+            level: 1.0,
+            healthy: Some(0.0),
+            margin: Some(Arc::new(margin)),
         }
     }
 
@@ -113,6 +133,27 @@ impl Asked {
     /// Faults and columns, in the order of their thresholds.
     pub fn faults(&self) -> Vec<String> {
         self.thresholds.iter().map(|t| t.fault.clone()).collect()
+    }
+}
+
+impl Asked {
+    /// A table with the levels of all that is asked for.
+    ///
+    /// # Errors
+    /// As [`Sheet::read`]; no FSJ and zeta where a margin is asked for.
+    pub fn read(&self, path: &Path) -> Result<Sheet> {
+        self.prepared(Sheet::read(path)?)
+    }
+
+    /// As [`Asked::read`], of a table that was read.
+    ///
+    /// # Errors
+    /// As [`Asked::read`].
+    pub fn prepared(&self, mut sheet: Sheet) -> Result<Sheet> {
+        for margin in self.thresholds.iter().filter_map(|t| t.margin.as_ref()) {
+            sheet.put_margin(margin)?;
+        }
+        Ok(sheet)
     }
 }
 
@@ -428,9 +469,10 @@ fn joint(of: &[Told]) -> Option<Told> {
 fn together(outlook: Outlook, like: &Told) -> Told {
     Told {
         threshold: Threshold {
-            fault: "joint".into(),
+            fault: JOINT.into(),
             level: f64::NAN,
             healthy: None,
+            margin: None,
         },
         scale: None,
         clock: like.clock,

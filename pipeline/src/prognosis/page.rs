@@ -1,5 +1,6 @@
 //! The page of a prognosis: the fleet by risk; trend, time left, its distribution and the laws of the worst units.
 
+use super::score::{Reliability, Scored, to_text as score_text};
 use super::tables::by_risk;
 use super::words::{moment, short, text};
 use super::{Clock, Told};
@@ -262,5 +263,73 @@ fn distribution(t: &Told) -> TracePlot {
         x_label: format!("time left [{}s]", t.clock.name()),
         y_label: "probability".into(),
         series,
+    }
+}
+
+/// Forecasts of a band of probabilities below which a point says nothing.
+const FEWEST_FORECASTS: usize = 50;
+
+/// The page of a replay: how reliable probabilities of failure were, and whole distributions.
+///
+/// * `scored` fault, threshold, what was seen
+pub fn scores(scored: &[(String, f64, Scored)]) -> Report {
+    let section = |(fault, level, s): &(String, f64, Scored)| {
+        let lines: Vec<String> = score_text(s, fault, *level).lines().map(|l| format!("- {l}")).collect();
+        Section {
+            title: format!("{fault} to {level}"),
+            text: lines.join("\n"),
+            tables: Vec::new(),
+            figures: vec![
+                (format!("{fault}_reliability"), Figure::Trace(reliability(s))),
+                (format!("{fault}_distribution"), Figure::Trace(places(s))),
+            ],
+        }
+    };
+    Report {
+        title: "Prognoses replayed".into(),
+        summary: "Every forecast that would have been made of units whose end is known, against what came. On the diagonal a \
+                forecast is neither too sure nor too careful."
+            .into(),
+        facts: vec![(
+            "program".into(),
+            format!("ema {} ({COMMIT})", env!("CARGO_PKG_VERSION")),
+        )],
+        sections: scored.iter().map(section).collect(),
+    }
+}
+
+/// What happened over what was said, by time ahead.
+fn reliability(s: &Scored) -> TracePlot {
+    let of = |(ahead, _, bins): &Reliability| {
+        let points = bins.iter().filter(|b| b.2 >= FEWEST_FORECASTS);
+        (format!("within {ahead}"), points.map(|b| (b.0, b.1)).collect())
+    };
+    let mut series: Vec<(String, Vec<(f64, f64)>)> = s.brier.iter().map(of).collect();
+    series.push(("as said".into(), vec![(0.0, 0.0), (1.0, 1.0)]));
+    TracePlot {
+        title: format!("Reliability of P(failure), bands of {FEWEST_FORECASTS} forecasts and more"),
+        x_label: "said, mean of the band".into(),
+        y_label: "happened".into(),
+        series,
+    }
+}
+
+/// Share of truths below each quantile that was told.
+fn places(s: &Scored) -> TracePlot {
+    let mut places: Vec<f64> = s.forecasts.iter().map(|f| f.place).collect();
+    places.sort_by(f64::total_cmp);
+    let n = places.len().max(1) as f64;
+    let curve = (0..=50).map(|k| {
+        let p = f64::from(k) / 50.0;
+        (p, places.partition_point(|x| *x <= p) as f64 / n)
+    });
+    TracePlot {
+        title: "Remaining life: share of truths below each quantile".into(),
+        x_label: "quantile that was told".into(),
+        y_label: "share of truths below".into(),
+        series: vec![
+            ("seen".into(), curve.collect()),
+            ("as told".into(), vec![(0.0, 0.0), (1.0, 1.0)]),
+        ],
     }
 }

@@ -1,5 +1,6 @@
 //! Histories of diagnoses: logs of `ema live` (JSON lines, Parquet), CSV and Parquet tables; events and truths in CSV.
 
+use super::margin::{Margin, STALL};
 use anyhow::Result;
 use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::compute::cast;
@@ -11,7 +12,7 @@ use schemas::error::Error;
 use schemas::recording::read_table;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Seconds of a day.
 const DAY_S: f64 = 86_400.0;
@@ -106,17 +107,13 @@ impl Sheet {
             .unwrap_or_default()
             .to_ascii_lowercase();
         let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
-        let mut sheet = Self {
-            file: path.display().to_string(),
-            stem: stem.unwrap_or_else(|| "unit".into()),
-            names: Vec::new(),
-            rows: Vec::new(),
-            places: Vec::new(),
-            counted: "line",
-        };
+        let mut sheet = Self::empty(path.display().to_string(), stem.unwrap_or_else(|| "unit".into()));
         match ending.as_str() {
             "csv" => sheet.csv(path)?,
-            "jsonl" | "json" | "ndjson" => sheet.json_lines(path)?,
+            "jsonl" | "json" | "ndjson" => {
+                let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+                sheet.json_lines(&text)?;
+            }
             "parquet" => sheet.parquet(path)?,
             _ => {
                 let allowed = "a table of diagnoses in .csv, .jsonl or .parquet";
@@ -149,8 +146,30 @@ impl Sheet {
         }
     }
 
-    fn json_lines(&mut self, path: &Path) -> Result<()> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+    /// Lines of a log.
+    ///
+    /// * `file` for messages
+    ///
+    /// # Errors
+    /// A line that is no JSON object.
+    pub fn of_lines(file: &str, text: &str) -> Result<Self> {
+        let mut sheet = Self::empty(file.into(), "unit".into());
+        sheet.json_lines(text)?;
+        Ok(sheet)
+    }
+
+    fn empty(file: String, stem: String) -> Self {
+        Self {
+            file,
+            stem,
+            names: Vec::new(),
+            rows: Vec::new(),
+            places: Vec::new(),
+            counted: "line",
+        }
+    }
+
+    fn json_lines(&mut self, text: &str) -> Result<()> {
         for (line, text) in (1..).zip(text.lines()).filter(|l| !l.1.trim().is_empty()) {
             let bad = |e| Error::bad(&self.file, format!("line {line}"), e, "a JSON object");
             let value: Value = serde_json::from_str(text).map_err(bad)?;
@@ -215,6 +234,34 @@ impl Sheet {
         let column = |end: &str| self.column(&format!("{fault}_{end}"));
         let estimate = column("estimate").or_else(|| self.column(&fault));
         [column("lo"), column("hi"), estimate]
+    }
+
+    /// Adds the levels of a margin, which follow from those of FSJ and zeta.
+    ///
+    /// # Errors
+    /// A table without both, or with what is no number there.
+    pub fn put_margin(&mut self, margin: &Margin) -> Result<()> {
+        let faults = ["fsj", "zeta"].map(|f| self.columns_of(f));
+        if faults.iter().flatten().any(Option::is_none) {
+            let allowed = "lo, hi and estimate of fsj and of zeta, which --threshold stall needs";
+            return Err(Error::bad(&self.file, "header", self.names.join(","), allowed).into());
+        }
+        let first = self.names.len();
+        self.names
+            .extend(["lo", "hi", "estimate"].map(|end| format!("{STALL}_{end}")));
+        for r in 0..self.rows.len() {
+            let mut levels = [None; 6];
+            for (to, column) in levels.iter_mut().zip(faults.iter().flatten()) {
+                *to = self.number(r, *column)?;
+            }
+            self.rows[r].resize(first, Cell::Nothing);
+            let [lo, hi, fsj, zeta_lo, zeta_hi, zeta] = levels;
+            let ends = || Some(margin.over((lo?, hi?), (zeta_lo?, zeta_hi?)));
+            let way = || Some(margin.at(fsj?, zeta?));
+            let new = [ends().map(|e| e.0), ends().map(|e| e.1), way()];
+            self.rows[r].extend(new.map(|x| x.map_or(Cell::Nothing, Cell::Number)));
+        }
+        Ok(())
     }
 
     /// Whether a fault has a lower end anywhere.
@@ -407,6 +454,27 @@ fn cells(path: &Path, b: &RecordBatch, i: usize) -> Result<Vec<Cell>> {
         }
     };
     Ok((0..column.len()).map(of).collect())
+}
+
+/// The file in which histories are: a dataset has them in its diagnoses, by each actuator's own maps before those of the type.
+///
+/// # Errors
+/// A folder without any.
+pub fn history_file(path: &Path) -> Result<PathBuf> {
+    if !path.is_dir() {
+        return Ok(path.into());
+    }
+    let files = ["diagnoses/part-own.parquet", "diagnoses/part-type.parquet"].map(|f| path.join(f));
+    let [own, _] = &files;
+    let missing = || {
+        Error::bad(
+            path.display().to_string(),
+            "folder",
+            "no diagnoses",
+            format!("{} (ema dataset diagnose)", own.display()),
+        )
+    };
+    Ok(files.iter().find(|f| f.exists()).ok_or_else(missing)?.clone())
 }
 
 /// Reads a history: the levels of `faults` by unit.

@@ -25,6 +25,9 @@ const BETA: f64 = 0.5;
 /// Accuracy of the prognostic horizon, as a share of the whole life.
 const HORIZON: f64 = 0.1;
 
+/// Tests that may be left out before a unit counts as no longer tested, in usual intervals (assumed).
+const ASKED_FOR: f64 = 3.0;
+
 /// Bands of the probability of failure.
 pub const BINS: [(f64, f64); 6] = [(0.0, 0.02), (0.02, 0.1), (0.1, 0.3), (0.3, 0.7), (0.7, 0.9), (0.9, 1.0)];
 
@@ -212,13 +215,16 @@ fn replay(unit: usize, u: &Unit, fleet: Option<&Fleet>, horizons: &[f64]) -> (Ve
     let mut track = Track::new(prior, u.scale);
     let (mut even, mut asked) = (Vec::new(), Vec::new());
     let mut i = 0;
+    let apart = u.history.interval().unwrap_or(f64::INFINITY);
     for (lambda, is_asked) in moments {
         let at = begun + lambda * (end - begun);
         while i < u.history.rows.len() && u.history.rows[i].at <= at {
             track.read(&u.history, i);
             i += 1;
         }
-        if i == 0 || track.used < LEAST_TESTS || track.at < begun {
+        // after its last test nobody asks any more: such a unit was not scored to its end
+        let is_over = i == u.history.rows.len() && at - track.at > ASKED_FOR * apart;
+        if i == 0 || track.used < LEAST_TESTS || track.at < begun || is_over {
             continue;
         }
         let left = fleet.map_or_else(|| without_fleet(&track), |f| f.left(&track));

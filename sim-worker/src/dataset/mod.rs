@@ -21,4 +21,5 @@ pub mod sink;
 pub mod storage;
 pub mod tables;
 pub mod verify;
+pub mod wear;
 pub mod work;

@@ -2,6 +2,7 @@
 
 use super::draw::{random, seed};
 use super::plan::DatasetPlan;
+use super::wear::{WornTest, warmed};
 use crate::simulate::{LANES, Run};
 use crate::test_bench::Lane;
 use rand::RngExt;
@@ -20,7 +21,7 @@ const PART_RUNS: usize = 4 * LANES;
 pub enum Kind {
     /// a point of the fault grid
     Map,
-    /// a random fault pair, to check diagnoses by
+    /// a random fault pair or a test of a life, to check diagnoses by
     Test,
 }
 
@@ -45,7 +46,7 @@ pub struct Part {
     pub sequence: usize,
     /// its place in [`DatasetPlan::rest_angles_rad`]
     pub rest: usize,
-    /// points of the grid, or random tests
+    /// points of the grid, or tests
     pub kind: Kind,
     /// numbers in the whole dataset
     pub runs: Range<u64>,
@@ -182,6 +183,9 @@ impl DatasetPlan {
                 zeta: self.grid.zeta[k / n],
             },
             Kind::Test => {
+                if let Some(t) = self.worn(part, run) {
+                    return t.fault;
+                }
                 let id = &self.actuators[part.actuator].id;
                 let mut rng = random(self.seed, "test", &format!("{id};{k}"));
                 let mut within = |axis: &[f64]| match (axis[0], axis[axis.len() - 1]) {
@@ -194,6 +198,12 @@ impl DatasetPlan {
                 }
             }
         }
+    }
+
+    /// The test of a life that a run of a part is.
+    pub fn worn(&self, part: &Part, run: u64) -> Option<&WornTest> {
+        let life = self.life(part.actuator).filter(|_| part.kind == Kind::Test)?;
+        life.tests.get((run - part.first) as usize)
     }
 
     /// A run of a part, ready to simulate. Its seed does not depend on what else the fleet has.
@@ -210,7 +220,7 @@ impl DatasetPlan {
         Run {
             number: run,
             lane: Lane {
-                actuator: actuator.parameters.clone(),
+                actuator: warmed(&actuator.parameters, self.worn(part, run).map_or(0.0, |t| t.warmer_k)),
                 fault: self.fault(part, run),
                 rest_angle_rad: self.rest_angles_rad[part.rest],
                 load_n_m: self.load_n_m,

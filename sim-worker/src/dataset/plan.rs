@@ -1,6 +1,7 @@
 //! Fleet plans: which actuators, how they differ, which tests they run, and what is kept.
 
 use super::draw::{Distribution, random};
+use super::wear::{WearPlan, WornActuator};
 use crate::catalogue;
 use crate::parameters::{self, ActuatorParameters, PARAMETERS};
 use crate::sensor::SensorModel;
@@ -14,7 +15,7 @@ use schemas::toml_section::{self, Section, quoted};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Hash of the sources that results depend on: results of other sources are never mixed with those of
 /// this program.
@@ -67,6 +68,13 @@ pub struct KeptTelemetry {
     pub of: (bool, bool),
 }
 
+/// How the actuators of a plan wear; each life is worked out when it is first asked for.
+#[derive(Clone, Debug)]
+struct Wear {
+    plan: WearPlan,
+    lives: Arc<[OnceLock<WornActuator>]>,
+}
+
 /// A fleet plan, checked.
 #[derive(Clone, Debug)]
 pub struct DatasetPlan {
@@ -96,8 +104,10 @@ pub struct DatasetPlan {
     pub rate_hz: f64,
     /// noise seeds over which features of grid points are averaged
     pub feature_seeds: u64,
-    /// random fault pairs of each actuator, to check diagnoses by
+    /// tests of each actuator, to check diagnoses by: random fault pairs, or those of its wear
     pub tests_per_actuator: usize,
+    /// none: tests are of random pairs
+    wear: Option<Wear>,
     /// none: features only
     pub telemetry: Option<KeptTelemetry>,
     /// where the dataset goes if nothing else is said
@@ -290,6 +300,14 @@ impl DatasetPlan {
             tests_per_actuator = whole(&mut t, "per_actuator", 0, 100_000)? as usize;
             t.finish()?;
         }
+        let mut wear = None;
+        if s.may_have("wear") {
+            wear = Some(WearPlan::from_section(s.section("wear")?)?);
+            if tests_per_actuator == 0 {
+                let allowed = "at least 1 with [wear]: the tests of its life";
+                return Err(s.bad("tests.per_actuator", 0, allowed));
+            }
+        }
         let telemetry = if s.may_have("telemetry") {
             let t = s.section("telemetry")?;
             Some(KeptTelemetry::from_section(t, rate_hz, sensors.is_some())?)
@@ -300,6 +318,10 @@ impl DatasetPlan {
         let spread = spread(&mut s, &mut assumed)?;
         let actuators = actuators(&mut s, seed, &base, &spread)?;
         s.finish()?;
+        let wear = wear.map(|plan| Wear {
+            plan,
+            lives: actuators.iter().map(|_| OnceLock::new()).collect(),
+        });
         let mut text = text.trim_end().to_string() + "\n";
         if whole_text && !files.used.is_empty() {
             text += "\n# the files that the plan names\n[files]\n";
@@ -322,6 +344,7 @@ impl DatasetPlan {
             rate_hz,
             feature_seeds,
             tests_per_actuator,
+            wear,
             telemetry,
             out,
             assumed,
@@ -376,8 +399,9 @@ impl DatasetPlan {
         let telemetry = self.telemetry.as_ref().map_or("none".into(), |t| {
             format!("{},{},{},{:?}", t.every, t.wanted.0, t.stored.0, t.of)
         });
+        let wear = self.wear.as_ref().map(|w| w.plan.fingerprint()).unwrap_or_default();
         fingerprint(&format!(
-            "fleet;{SOURCE};{};{};{};{};{};{};{};{};{};{};{};{};{telemetry};{}",
+            "fleet;{SOURCE};{};{};{};{};{};{};{};{};{};{};{};{};{telemetry};{}{wear}",
             self.name,
             self.seed,
             self.actuators.iter().map(actuator).collect::<Vec<_>>().join(","),
@@ -392,6 +416,15 @@ impl DatasetPlan {
             self.tests_per_actuator,
             self.equivalent_current,
         ))
+    }
+
+    /// The life of an actuator, by its place in the plan; none where tests are of random pairs.
+    pub fn life(&self, actuator: usize) -> Option<&WornActuator> {
+        let wear = self.wear.as_ref()?;
+        let most = [&self.grid.fsj, &self.grid.zeta].map(|axis| axis[axis.len() - 1]);
+        let id = &self.actuators[actuator].id;
+        let life = || wear.plan.life(self.seed, id, self.tests_per_actuator, most);
+        Some(wear.lives[actuator].get_or_init(life))
     }
 
     /// The parameters of one actuator as a TOML file.

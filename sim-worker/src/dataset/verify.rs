@@ -460,7 +460,7 @@ pub fn verify(storage: &Storage, said: impl Fn(usize, usize) + Sync) -> Result<R
     let known: BTreeSet<&str> = jobs.iter().map(|j| j.1.as_str()).collect();
     let ours = ["plan.toml", MANIFEST, ACTUATORS];
     for (path, _) in &list {
-        let made_later = path.starts_with("maps/") || path.starts_with("diagnoses/");
+        let made_later = ["maps/", "diagnoses/", "wear/"].iter().any(|p| path.starts_with(p));
         if known.contains(path.as_str()) || ours.contains(&path.as_str()) || made_later {
             continue;
         }

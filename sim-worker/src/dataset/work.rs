@@ -94,6 +94,7 @@ fn stranger(plan: &DatasetPlan, storage: &Storage) -> Result<Option<String>> {
             "maps.parquet",
             "calibration-",
             "diagnoses/",
+            "wear/",
             "_staging/",
         ];
         if path != PLAN && path != MANIFEST && !ours.iter().any(|p| path.starts_with(p)) {

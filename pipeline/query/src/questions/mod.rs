@@ -4,6 +4,7 @@ mod diagnoses;
 mod fault_levels;
 mod map_drift;
 mod out_of_family;
+mod outlooks;
 mod parameters;
 mod region;
 mod sensitivity;
@@ -31,11 +32,17 @@ pub enum Question {
     Outcomes,
     /// How far maps have moved between two datasets, the farthest first.
     MapDrift,
+    /// Actuators by what a prognosis says of them, the worst first.
+    AtRisk,
+    /// Alarms of a prognosis, the latest first.
+    WhatChanged,
+    /// Rates of growth over their median, the greatest first.
+    Growth,
 }
 
 impl Question {
     /// All, in the order of the help.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 10] = [
         Self::FaultLevels,
         Self::OutOfFamily,
         Self::Sensitivity,
@@ -43,6 +50,9 @@ impl Question {
         Self::Coverage,
         Self::Outcomes,
         Self::MapDrift,
+        Self::AtRisk,
+        Self::WhatChanged,
+        Self::Growth,
     ];
 
     /// Name on the command line.
@@ -55,6 +65,9 @@ impl Question {
             Self::Coverage => "coverage",
             Self::Outcomes => "outcomes",
             Self::MapDrift => "map-drift",
+            Self::AtRisk => "at-risk",
+            Self::WhatChanged => "what-changed",
+            Self::Growth => "growth",
         }
     }
 
@@ -68,6 +81,11 @@ impl Question {
             Self::Coverage => "how often the intervals hold the true pair, by tail number",
             Self::Outcomes => "outcomes of the diagnoses by region of the fault plane",
             Self::MapDrift => "how far maps have moved between two datasets (--with OTHER), the farthest first",
+            Self::AtRisk => "actuators by what ema prognosis --out says of their remaining life, the worst first",
+            Self::WhatChanged => {
+                "alarms of ema prognosis --out: changes of rate, repairs, thresholds, the latest first"
+            }
+            Self::Growth => "whose fault grows faster than it did: the last rate over the median, the greatest first",
         }
     }
 
@@ -77,6 +95,9 @@ impl Question {
             Self::FaultLevels | Self::Sensitivity | Self::MapDrift => &[Table::Features],
             Self::OutOfFamily | Self::ParameterSensitivity => &[Table::Features, Table::Actuators],
             Self::Coverage | Self::Outcomes => &[Table::Diagnoses],
+            Self::AtRisk => &[Table::Prognoses],
+            Self::WhatChanged => &[Table::Alarms],
+            Self::Growth => &[Table::Trends],
         }
     }
 
@@ -125,6 +146,9 @@ impl Question {
             Self::ParameterSensitivity => parameters::reads(dir),
             Self::Coverage | Self::Outcomes => diagnoses::reads(dir),
             Self::MapDrift => map_drift::reads(dir, other.unwrap_or(dir)),
+            Self::AtRisk => outlooks::at_risk(dir),
+            Self::WhatChanged => outlooks::what_changed(dir),
+            Self::Growth => outlooks::growth(dir),
         }
     }
 
@@ -150,6 +174,7 @@ impl Question {
             Self::Coverage => diagnoses::coverage(dir, &frames),
             Self::Outcomes => diagnoses::outcomes(dir, &frames),
             Self::MapDrift => map_drift::answer(dir, other.unwrap_or(dir), &frames),
+            Self::AtRisk | Self::WhatChanged | Self::Growth => outlooks::answer(&frames),
         }
     }
 
