@@ -1,6 +1,6 @@
 //! The page of a prognosis: the fleet by risk; trend, time left, its distribution and the laws of the worst units.
 
-use super::score::{Reliability, Scored, to_text as score_text};
+use super::score::{At, Reliability, Scored};
 use super::tables::by_risk;
 use super::words::{moment, short, text};
 use super::{Clock, Told};
@@ -267,23 +267,24 @@ fn distribution(t: &Told) -> TracePlot {
 }
 
 /// Forecasts of a band of probabilities below which a point says nothing.
-const FEWEST_FORECASTS: usize = 50;
+const FEWEST_FORECASTS: usize = 10;
 
 /// The page of a replay: how reliable probabilities of failure were, and whole distributions.
 ///
 /// * `scored` fault, threshold, what was seen
 pub fn scores(scored: &[(String, f64, Scored)]) -> Report {
-    let section = |(fault, level, s): &(String, f64, Scored)| {
-        let lines: Vec<String> = score_text(s, fault, *level).lines().map(|l| format!("- {l}")).collect();
-        Section {
-            title: format!("{fault} to {level}"),
-            text: lines.join("\n"),
-            tables: Vec::new(),
-            figures: vec![
-                (format!("{fault}_reliability"), Figure::Trace(reliability(s))),
-                (format!("{fault}_distribution"), Figure::Trace(places(s))),
-            ],
-        }
+    let section = |(fault, level, s): &(String, f64, Scored)| Section {
+        title: format!("{fault} to {level}"),
+        text: format!(
+            "{} lives replayed, {} left out (no end known, or fewer than 5 tests). Over all times: coverage {:.3} of {COVERAGE} stated, cumulative \
+             relative accuracy {:.2}, prognostic horizon {:.2} of the life.",
+            s.units, s.left_out, s.coverage, s.accuracy, s.prognostic_horizon
+        ),
+        tables: vec![by_share(s), by_band(s)],
+        figures: vec![
+            (format!("{fault}_reliability"), Figure::Trace(reliability(s))),
+            (format!("{fault}_distribution"), Figure::Trace(places(s))),
+        ],
     };
     Report {
         title: "Prognoses replayed".into(),
@@ -295,6 +296,72 @@ pub fn scores(scored: &[(String, f64, Scored)]) -> Report {
             format!("ema {} ({COMMIT})", env!("CARGO_PKG_VERSION")),
         )],
         sections: scored.iter().map(section).collect(),
+    }
+}
+
+fn rows(cells: impl Iterator<Item = Vec<String>>) -> Vec<TableRow> {
+    cells.map(|cells| TableRow { cells, emphasis: false }).collect()
+}
+
+/// At a quarter, half and three quarters of the life.
+fn by_share(s: &Scored) -> Table {
+    let header = [
+        "share of life",
+        "units",
+        "coverage",
+        "median within 20 %",
+        "half of mass within 20 %",
+        "width / time left, mean (median)",
+        "CRPS / time left, mean (median)",
+    ];
+    let row = |a: &At| {
+        let both = |x: (f64, f64)| format!("{:.2} ({:.2})", x.0, x.1);
+        let share = |x: f64| format!("{x:.2}");
+        vec![
+            share(a.lambda),
+            a.units.to_string(),
+            share(a.coverage),
+            share(a.alpha_lambda),
+            share(a.strict),
+            both(a.width),
+            both(a.crps),
+        ]
+    };
+    Table {
+        caption: "By share of the life".into(),
+        header: header.map(String::from).into(),
+        rows: rows(s.at.iter().map(row)),
+        note: String::new(),
+    }
+}
+
+/// P(failure) by bands.
+fn by_band(s: &Scored) -> Table {
+    let header = [
+        "within",
+        "Brier score",
+        "said, mean of the band",
+        "happened",
+        "forecasts",
+    ];
+    let bands = s.brier.iter().flat_map(|(ahead, brier, bins)| {
+        let told = bins.iter().filter(|b| b.2 > 0);
+        told.map(move |(said, was, n)| {
+            let share = |x: &f64| format!("{x:.3}");
+            vec![
+                ahead.to_string(),
+                format!("{brier:.4}"),
+                share(said),
+                share(was),
+                n.to_string(),
+            ]
+        })
+    });
+    Table {
+        caption: "Probability of failure".into(),
+        header: header.map(String::from).into(),
+        rows: rows(bands),
+        note: "Forecasts of one unit are not independent of each other.".into(),
     }
 }
 
