@@ -18,6 +18,9 @@ const N_GROUPS: usize = Model::GROUPS.len();
 pub const CALIBRATED: usize = 20;
 /// Finished lives from which lives are compared with.
 pub const COMPARED: usize = 10;
+/// Share of lives that may be longer than any that ended: beyond it those that ended are the short ones, and a fleet teaches its prior
+/// alone (assumed; two thirds unseen cost a quarter of the coverage).
+pub const MOST_UNSEEN: f64 = 0.1;
 
 /// Changes of regime in a usual life that forecasts reckon with: where no fleet is known, and of the two forecasts that a
 /// fleet weighs (assumed).
@@ -80,6 +83,9 @@ pub struct Fleet {
     pub lives: Vec<Life>,
     /// how many units had not reached the threshold
     pub censored: usize,
+    /// share of lives that is longer than any that ended (Kaplan and Meier 1958)
+    #[serde(default)]
+    pub unseen: f64,
     /// shares of the forecasts by band and group
     pub shares: Vec<Vec<[f64; FORECASTS]>>,
     /// where past truths lay
@@ -279,10 +285,11 @@ impl Fleet {
         threshold: f64,
         clock: &str,
         prior: Prior,
-        (lives, censored): (Vec<Life>, usize),
+        (lives, censored, unseen): (Vec<Life>, usize, f64),
         shots: &[Shot],
     ) -> Self {
-        let compared = lives.len() >= COMPARED;
+        // lives that ended say nothing of those that are longer than all of them
+        let compared = lives.len() >= COMPARED && unseen <= MOST_UNSEEN;
         let usual = if compared {
             [0.6, 0.2, 0.2, 0.0]
         } else {
@@ -296,6 +303,7 @@ impl Fleet {
             prior,
             lives,
             censored,
+            unseen,
             shares: vec![vec![usual; N_GROUPS]; N_BANDS],
             places: Vec::new(),
             tails: vec![TAILS[0]; N_BANDS],
@@ -326,6 +334,7 @@ impl Fleet {
         };
         self.prior.is_sound()
             && self.threshold.is_finite()
+            && (0.0..=1.0).contains(&self.unseen)
             && self.lives.iter().all(Life::is_sound)
             && self.shares.len() == N_BANDS
             && self.shares.iter().all(|b| b.len() == N_GROUPS && b.iter().all(share))
@@ -481,7 +490,15 @@ mod tests {
             below,
             weight: 1.0,
         };
-        let mut f = Fleet::learned("fsj", Some(1.0), 4.0, "cycle", Prior::shipped(1.0), (vec![], 3), &[]);
+        let mut f = Fleet::learned(
+            "fsj",
+            Some(1.0),
+            4.0,
+            "cycle",
+            Prior::shipped(1.0),
+            (vec![], 3, 1.0),
+            &[],
+        );
         assert!(f.is_sound() && !f.is_calibrated());
         f.places = (0..100).map(|i| place(0.5 + 0.005 * f64::from(i))).collect();
         let q = f.quantiles(0, 1);

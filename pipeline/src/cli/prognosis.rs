@@ -15,6 +15,7 @@ use crate::progress::{interrupted, note};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::prognosis::Fleet;
+use diagnoser::prognosis::fleet::{CALIBRATED, MOST_UNSEEN};
 use diagnoser::receive::foresight::Foresight;
 use schemas::error::Error;
 use serde_json::Value;
@@ -348,6 +349,20 @@ fn tables_of(files: &[PathBuf]) -> Result<Vec<Sheet>> {
     files.iter().map(|f| Sheet::read(&history_file(f)?)).collect()
 }
 
+/// Whether intervals are calibrated, and why not.
+fn calibration_of(fleet: &Fleet) -> String {
+    if fleet.is_calibrated() {
+        "intervals are calibrated".into()
+    } else if fleet.unseen > MOST_UNSEEN {
+        let percent = 100.0 * fleet.unseen;
+        format!(
+            "{percent:.0} % of lives are longer than any that ended: it teaches its prior alone, intervals stay a design figure"
+        )
+    } else {
+        format!("too few lives ({CALIBRATED}) to calibrate: intervals stay a design figure")
+    }
+}
+
 fn prepared(files: Vec<Sheet>, asked: &Asked) -> Result<Vec<Sheet>> {
     files.into_iter().map(|f| asked.prepared(f)).collect()
 }
@@ -373,11 +388,7 @@ fn learned(a: &LearnArgs) -> Result<ExitCode> {
             ends.crossed,
             ends.extrapolated,
             ends.alive,
-            if fleet.is_calibrated() {
-                "intervals are calibrated"
-            } else {
-                "too few lives (20) to calibrate: intervals stay a design figure"
-            },
+            calibration_of(&fleet),
         ));
         fleets.push(fleet);
     }

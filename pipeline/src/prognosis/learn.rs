@@ -99,7 +99,7 @@ pub fn learn(units: &[Unit], t: &Threshold, clock: Clock) -> Result<(Fleet, Ends
         })
         .collect();
     let mut gathered = Gathered::new(&shipped);
-    let (mut ends, mut lives) = (Ends::default(), Vec::new());
+    let (mut ends, mut lives, mut ages) = (Ends::default(), Vec::new(), Vec::new());
     for (i, (u, track)) in units.iter().zip(&tracks).enumerate() {
         gathered.add(&track.filter);
         let (end, how) = end_of(u, track);
@@ -109,6 +109,9 @@ pub fn learn(units: &[Unit], t: &Threshold, clock: Clock) -> Result<(Fleet, Ends
             How::Extrapolated => &mut ends.extrapolated,
             How::Alive => &mut ends.alive,
         } += 1;
+        if track.is_from_new() {
+            ages.push((end.unwrap_or(track.at) - track.begun(), end.is_some()));
+        }
         // a life that began before it was seen says nothing of how long lives are
         if let (Some(end), true) = (end, track.is_from_new()) {
             let life = track.life.thinned(POINTS);
@@ -147,10 +150,22 @@ pub fn learn(units: &[Unit], t: &Threshold, clock: Clock) -> Result<(Fleet, Ends
         t.level,
         clock.name(),
         prior,
-        (lives, censored),
+        (lives, censored, unseen(ages)),
         &shots,
     );
     Ok((f, ends))
+}
+
+/// Share of lives that is longer than any that ended, by the product limit of Kaplan and Meier (1958).
+///
+/// * `ages` at the end, or at the last test; whether the life ended
+fn unseen(mut ages: Vec<(f64, bool)>) -> f64 {
+    // an end comes before the last test of another at the same age
+    ages.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
+    let n = ages.len();
+    let at_risk = |i: usize| (n - i) as f64;
+    let ended = ages.iter().enumerate().filter(|(_, a)| a.1);
+    ended.fold(1.0, |s, (i, _)| s * (1.0 - 1.0 / at_risk(i)))
 }
 
 /// At most [`MOST_LIVES`] of the lives, evenly.
@@ -270,4 +285,23 @@ pub fn read(path: &Path) -> Result<Vec<Fleet>> {
         return Err(Error::bad(file, "fleets", "masses or lives that no fleet has", allowed).into());
     }
     Ok(fleets)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::unseen;
+
+    #[test]
+    fn prop_what_no_end_was_seen_of_is_counted() {
+        let of = |ages: &[(f64, bool)]| unseen(ages.to_vec());
+        assert_eq!(of(&[]), 1.0);
+        // all ended; young ones that live on take nothing away
+        assert_eq!(of(&[(3.0, true), (1.0, true), (2.0, true)]), 0.0);
+        assert_eq!(of(&[(0.1, false), (3.0, true), (0.2, false), (1.0, true)]), 0.0);
+        // half of them live on, older than all that ended
+        assert!((of(&[(1.0, true), (2.0, true), (5.0, false), (5.0, false)]) - 0.5).abs() < 1e-12);
+        // one dropped out between: its share falls to the others
+        let s = of(&[(1.0, true), (1.5, false), (2.0, true), (5.0, false)]);
+        assert!((s - 0.75 * 0.5).abs() < 1e-12, "{s}");
+    }
 }
