@@ -110,7 +110,9 @@ pub fn learn(units: &[Unit], t: &Threshold, clock: Clock) -> Result<(Fleet, Ends
             How::Alive => &mut ends.alive,
         } += 1;
         if track.is_from_new() {
-            ages.push((end.unwrap_or(track.at) - track.begun(), end.is_some()));
+            // an end that is extrapolated was not seen
+            let seen = end.filter(|_| !matches!(how, How::Extrapolated));
+            ages.push((seen.unwrap_or(track.at) - track.begun(), seen.is_some()));
         }
         // a life that began before it was seen says nothing of how long lives are
         if let (Some(end), true) = (end, track.is_from_new()) {
@@ -156,15 +158,23 @@ pub fn learn(units: &[Unit], t: &Threshold, clock: Clock) -> Result<(Fleet, Ends
     Ok((f, ends))
 }
 
+/// Least share of the units that is still tested where an end counts (assumed): the last few decide nothing.
+const AT_RISK: f64 = 0.05;
+
 /// Share of lives that is longer than any that ended, by the product limit of Kaplan and Meier (1958).
 ///
-/// * `ages` at the end, or at the last test; whether the life ended
+/// * `ages` at the end, or at the last test; whether the end was seen
 fn unseen(mut ages: Vec<(f64, bool)>) -> f64 {
     // an end comes before the last test of another at the same age
     ages.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
     let n = ages.len();
     let at_risk = |i: usize| (n - i) as f64;
-    let ended = ages.iter().enumerate().filter(|(_, a)| a.1);
+    let few = if ages.iter().all(|a| a.1) {
+        0.0
+    } else {
+        AT_RISK * n as f64
+    };
+    let ended = ages.iter().enumerate().filter(|(i, a)| a.1 && at_risk(*i) >= few);
     ended.fold(1.0, |s, (i, _)| s * (1.0 - 1.0 / at_risk(i)))
 }
 
@@ -303,5 +313,9 @@ mod tests {
         // one dropped out between: its share falls to the others
         let s = of(&[(1.0, true), (1.5, false), (2.0, true), (5.0, false)]);
         assert!((s - 0.75 * 0.5).abs() < 1e-12, "{s}");
+        // fifty live on; one of those that were tested longest has ended
+        let mut many = vec![(9.0, false); 50];
+        many.push((9.5, true));
+        assert_eq!(of(&many), 1.0);
     }
 }
