@@ -371,8 +371,14 @@ fn e2e_poisoned_histories_get_a_right_answer_or_one_line() {
     for (args, allowed) in [
         (&["--threshold", "fsj"][..], "FAULT=LEVEL"),
         (&["--threshold", "stall=heavy"], "a load torque at the motor above 0"),
-        (&["--threshold", "stall=5Nm"], "does not move in time when it is healthy"),
-        (&["--threshold", "stall=0.7Nm"], "lo, hi and estimate of fsj and of zeta"),
+        (
+            &["--threshold", "stall=5Nm"],
+            "does not move in time when it is healthy",
+        ),
+        (
+            &["--threshold", "stall=0.7Nm"],
+            "lo, hi and estimate of fsj and of zeta",
+        ),
         (&["--threshold", "fsj=1"], "a level other than the healthy one"),
     ] {
         let file = d.join("clean.csv");
