@@ -168,7 +168,8 @@ impl LiveArgs {
             exit_after: self.exit_after,
             timeout: Duration::from_secs_f64(self.timeout),
             metrics: self.metrics.clone(),
-            foresight,
+            // nobody else would see it
+            foresight: foresight.filter(|_| show == Show::Screen),
         };
         let counts: Counts = receive(options, maps, stop)?;
         let Counts {

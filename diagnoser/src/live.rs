@@ -9,6 +9,7 @@ mod track;
 
 use crate::diagnosis::{Diagnoser, Diagnosis, Outcome};
 use crate::map_library::MapKey;
+use crate::prognosis::history::Ends;
 use concluded::Concluded;
 pub use concluded::StreamId;
 pub use making::{MOST_MAKING, SHARE_FOR_MAKING};
@@ -115,8 +116,8 @@ pub struct Foretold {
     pub fault: String,
     /// growth a unit of the clock
     pub rate: Option<f64>,
-    /// remaining life: lower end, median, upper end of the interval [units of the clock]; infinite is never
-    pub left: Option<(f64, f64, f64)>,
+    /// remaining life: ends of the interval, and median [units of the clock]; infinite is never
+    pub left: Option<Ends>,
     /// unit of the clock: flight, cycle, hour or day
     pub clock: &'static str,
     /// what stands in place of a remaining life

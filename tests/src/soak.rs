@@ -514,7 +514,7 @@ fn one_run(s: &mut State<'_>, run: u64, rng: &mut ChaCha8Rng) -> Fate {
         s.listen(Duration::from_millis(2));
     }
     let connected = connections(&s.sender);
-    let mut begun_early = !s.is_ready() || std::mem::take(&mut s.is_bridge_shaken);
+    let mut begun_early = std::mem::take(&mut s.is_bridge_shaken) || !s.is_ready();
     let speed = ["max", "max", "40", "15"][rng.random_range(0..4)];
     let frame = ["1", "5", "10", "50"][rng.random_range(0..4)];
     let is_bridged = rng.random_bool(0.5);

@@ -22,6 +22,12 @@ pub const COMPARED: usize = 10;
 /// alone (assumed; two thirds unseen cost a quarter of the coverage).
 pub const MOST_UNSEEN: f64 = 0.1;
 
+/// Whether so many finished lives, with such a share unseen, may be compared with: those that ended say nothing of lives that are longer
+/// than all of them.
+pub fn is_compared(lives: usize, unseen: f64) -> bool {
+    lives >= COMPARED && unseen <= MOST_UNSEEN
+}
+
 /// Changes of regime in a usual life that forecasts reckon with: where no fleet is known, and of the two forecasts that a
 /// fleet weighs (assumed).
 const AHEAD: f64 = 1.0;
@@ -288,8 +294,7 @@ impl Fleet {
         (lives, censored, unseen): (Vec<Life>, usize, f64),
         shots: &[Shot],
     ) -> Self {
-        // lives that ended say nothing of those that are longer than all of them
-        let compared = lives.len() >= COMPARED && unseen <= MOST_UNSEEN;
+        let compared = is_compared(lives.len(), unseen);
         let usual = if compared {
             [0.6, 0.2, 0.2, 0.0]
         } else {
@@ -345,7 +350,8 @@ impl Fleet {
 
     /// The time left of a unit.
     pub fn left(&self, track: &Track) -> Left {
-        let lives = self.lives.iter().filter(|_| self.lives.len() >= COMPARED);
+        let compared = is_compared(self.lives.len(), self.unseen);
+        let lives = self.lives.iter().filter(|_| compared);
         let (b, g) = (band(track.filter.damage().0), track.group());
         let mixed = mixture(&sets(track, lives), &self.shares[b][g], SAMPLES);
         let horizon = horizon(&self.prior);

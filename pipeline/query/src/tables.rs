@@ -131,7 +131,13 @@ impl Table {
         match self {
             Self::Runs => runs(&pattern),
             Self::Intervals => intervals(scan(&pattern, ScanArgsParquet::default())?),
-            _ => scan(&pattern, ScanArgsParquet::default()),
+            Self::Features
+            | Self::Actuators
+            | Self::Maps
+            | Self::Diagnoses
+            | Self::Trends
+            | Self::Prognoses
+            | Self::Alarms => scan(&pattern, ScanArgsParquet::default()),
         }
     }
 }

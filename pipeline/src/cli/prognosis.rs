@@ -74,7 +74,7 @@ struct PrognosisArgs {
     follow: bool,
 }
 
-#[derive(Args)]
+#[derive(Args, Default)]
 struct WhatArgs {
     /// Fault and the level that ends its life, such as fsj=4 or zeta=0.4; or stall=LOAD, a load torque at the motor such as 0.4Nm that is
     /// no longer moved in time, by simulation; may be repeated. Left out: fsj=4 and zeta=0.4 where the table has them (assumed)
@@ -157,14 +157,13 @@ pub fn prognosis(c: &PrognosisCommand) -> Result<ExitCode> {
 
 /// Where a load is no longer moved, for people.
 fn stall_words(m: &Margin) -> String {
-    let at = |k: usize| m.fsj.get(k).map_or("-".into(), |f| format!("{f:.2}"));
-    let last = m.fsj.len() - 1;
+    let at = |fsj: Option<&f64>| fsj.map_or("-".into(), |f| format!("{f:.2}"));
     format!(
         "a load of {} N m at the motor is no longer moved in time from FSJ {} (zeta 0), {} (zeta 0.5) on, by simulation; in time: half of the \
          healthy speed without a load (assumed). Levels: (FSJ - 1) over the way to it",
         m.load_n_m,
-        at(0),
-        at(last)
+        at(m.fsj.first()),
+        at(m.fsj.last())
     )
 }
 
@@ -273,11 +272,8 @@ pub(super) fn foresight_of(
 ) -> Result<Foresight> {
     let w = WhatArgs {
         threshold: threshold.to_vec(),
-        clock: None,
         events,
-        column: None,
-        healthy: None,
-        actuator: ActuatorArg::default(),
+        ..WhatArgs::default()
     };
     let table = Sheet::read(&history_file(history)?)?;
     let asked = asked(&w, thresholds(&w, &table, Vec::new())?, RISK, None);
@@ -336,12 +332,15 @@ fn written(dir: &Path, told: &[Told], fleets: &[Fleet], quiet: bool) -> Result<(
     tables::write(dir, told)?;
     let pages = crate::report::write(&report(told, fleets), dir, "report.html")?;
     if !quiet {
-        say(&format!(
-            "wrote     {}, trends, prognoses, alarms (.parquet) beside it",
-            pages.last().map_or_else(String::new, |p| p.display().to_string())
-        ));
+        say_written(&pages, "trends, prognoses, alarms (.parquet)");
     }
     Ok(())
+}
+
+/// * `pages` that were written, the one to be read last
+fn say_written(pages: &[PathBuf], beside: &str) {
+    let page = pages.last().map_or_else(String::new, |p| p.display().to_string());
+    say(&format!("wrote     {page}, {beside} beside it"));
 }
 
 /// All files of a command.
@@ -372,7 +371,8 @@ fn learned(a: &LearnArgs) -> Result<ExitCode> {
     let files = tables_of(&a.history)?;
     let asked = asked(&a.what, thresholds(&a.what, &files[0], Vec::new())?, RISK, None);
     let files = prepared(files, &asked)?;
-    let (units, clock) = units_by_fault((&files, &a.history), &a.what, &asked, None, &truth)?;
+    let events = events_of(&a.what, &a.history)?;
+    let (units, clock) = units_by_fault(&files, &events, &asked, None, &truth)?;
     let mut fleets = Vec::new();
     let mut n = 0;
     for (t, units) in asked.thresholds.iter().zip(&units) {
@@ -399,8 +399,8 @@ fn learned(a: &LearnArgs) -> Result<ExitCode> {
 
 /// Units with their ends, those of different files apart, by threshold.
 fn units_by_fault(
-    (files, histories): (&[Sheet], &[PathBuf]),
-    w: &WhatArgs,
+    files: &[Sheet],
+    events: &Events,
     asked: &Asked,
     fleet: Option<&Fleet>,
     truth: &BTreeMap<String, Vec<End>>,
@@ -409,10 +409,9 @@ fn units_by_fault(
     for f in files {
         all.extend(f.history(&asked.faults())?);
     }
-    let events = events_of(w, histories)?;
     let tests: Vec<(&String, &Vec<Test>)> = all.iter().map(|(name, tests)| (name, tests)).collect();
-    let clock = clock_of(files[0].file(), &tests, &events, asked, fleet)?;
-    let of = |(i, t): (usize, &Threshold)| units_of(&all, &events, truth, (t, i), clock);
+    let clock = clock_of(files[0].file(), &tests, events, asked, fleet)?;
+    let of = |(i, t): (usize, &Threshold)| units_of(&all, events, truth, (t, i), clock);
     Ok((asked.thresholds.iter().enumerate().map(of).collect(), clock))
 }
 
@@ -441,7 +440,8 @@ fn scored(a: &ScoreArgs) -> Result<ExitCode> {
     let fleets = fleets_of(a.fleet.as_deref())?;
     let asked = asked(&a.what, thresholds(&a.what, &files[0], named_in(&truth))?, RISK, None);
     let files = prepared(files, &asked)?;
-    let (units, _) = units_by_fault((&files, &a.history), &a.what, &asked, fleets.first(), &truth)?;
+    let events = events_of(&a.what, &a.history)?;
+    let (units, _) = units_by_fault(&files, &events, &asked, fleets.first(), &truth)?;
     let mut rows = String::from("fault,unit,lambda,truth,median,lo,hi,crps\n");
     let (mut objects, mut replayed) = (Vec::new(), Vec::new());
     for (t, units) in asked.thresholds.iter().zip(&units) {
@@ -480,8 +480,7 @@ fn scored(a: &ScoreArgs) -> Result<ExitCode> {
         schemas::error::write_whole(&dir.join("scores.csv"), rows.as_bytes())?;
         let pages = crate::report::write(&scores(&replayed), dir, "report.html")?;
         if !a.json {
-            let page = pages.last().map_or_else(String::new, |p| p.display().to_string());
-            say(&format!("wrote     {page}, scores.csv beside it"));
+            say_written(&pages, "scores.csv");
         }
     }
     Ok(ExitCode::SUCCESS)

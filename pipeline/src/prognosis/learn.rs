@@ -5,7 +5,7 @@ use super::{Clock, Events, Threshold, history_of, of_unit, scale_of};
 use crate::Interrupted;
 use crate::progress::interrupted;
 use anyhow::Result;
-use diagnoser::prognosis::fleet::{Gathered, Shot, shot, without_fleet};
+use diagnoser::prognosis::fleet::{Gathered, Shot, is_compared, shot, without_fleet};
 use diagnoser::prognosis::forecast::quantile;
 use diagnoser::prognosis::special::middle;
 use diagnoser::prognosis::{Fleet, History, Life, Prior, Scale, Track};
@@ -133,7 +133,14 @@ pub fn learn(units: &[Unit], t: &Threshold, clock: Clock) -> Result<(Fleet, Ends
     }
     let finished: Vec<(usize, f64, Life)> = thinned(lives);
     let prior = Arc::new(gathered.prior(&shipped));
-    let shots: Vec<Shot> = finished
+    let unseen = unseen(ages);
+    // past forecasts weigh the comparison with lives
+    let replayed = if is_compared(finished.len(), unseen) {
+        &finished[..]
+    } else {
+        &[]
+    };
+    let shots: Vec<Shot> = replayed
         .par_iter()
         .flat_map_iter(|(i, end, _)| {
             let others = || finished.iter().filter(move |o| o.0 != *i).map(|o| &o.2);
@@ -152,7 +159,7 @@ pub fn learn(units: &[Unit], t: &Threshold, clock: Clock) -> Result<(Fleet, Ends
         t.level,
         clock.name(),
         prior,
-        (lives, censored, unseen(ages)),
+        (lives, censored, unseen),
         &shots,
     );
     Ok((f, ends))

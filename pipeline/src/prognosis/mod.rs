@@ -134,9 +134,7 @@ impl Asked {
     pub fn faults(&self) -> Vec<String> {
         self.thresholds.iter().map(|t| t.fault.clone()).collect()
     }
-}
 
-impl Asked {
     /// A table with the levels of all that is asked for.
     ///
     /// # Errors

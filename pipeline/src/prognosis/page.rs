@@ -1,6 +1,6 @@
 //! The page of a prognosis: the fleet by risk; trend, time left, its distribution and the laws of the worst units.
 
-use super::score::{At, Reliability, Scored};
+use super::score::{At, Reliability, Scored, over_all, replayed};
 use super::tables::by_risk;
 use super::words::{moment, short, text};
 use super::{Clock, Told};
@@ -20,6 +20,9 @@ const SHOWN: usize = 6;
 
 /// Past forecasts in a figure.
 const PAST: usize = 24;
+
+/// Forecasts of a band of probabilities below which a point says nothing.
+const FEWEST_FORECASTS: usize = 10;
 
 /// The report.
 pub fn report(told: &[Told], fleets: &[Fleet]) -> Report {
@@ -49,13 +52,17 @@ pub fn report(told: &[Told], fleets: &[Fleet]) -> Report {
         facts: vec![
             ("clock".into(), clock.name().into()),
             ("coverage of intervals".into(), format!("{:.0} %", 100.0 * COVERAGE)),
-            (
-                "program".into(),
-                format!("ema {} ({COMMIT})", env!("CARGO_PKG_VERSION")),
-            ),
+            program(),
         ],
         sections,
     }
+}
+
+fn program() -> (String, String) {
+    (
+        "program".into(),
+        format!("ema {} ({COMMIT})", env!("CARGO_PKG_VERSION")),
+    )
 }
 
 fn fleet_section(sorted: &[&Told], clock: Clock) -> Section {
@@ -266,20 +273,13 @@ fn distribution(t: &Told) -> TracePlot {
     }
 }
 
-/// Forecasts of a band of probabilities below which a point says nothing.
-const FEWEST_FORECASTS: usize = 10;
-
 /// The page of a replay: how reliable probabilities of failure were, and whole distributions.
 ///
 /// * `scored` fault, threshold, what was seen
 pub fn scores(scored: &[(String, f64, Scored)]) -> Report {
     let section = |(fault, level, s): &(String, f64, Scored)| Section {
         title: format!("{fault} to {level}"),
-        text: format!(
-            "{} lives replayed, {} left out (no end known, or fewer than 5 tests). Over all times: coverage {:.3} of {COVERAGE} stated, cumulative \
-             relative accuracy {:.2}, prognostic horizon {:.2} of the life.",
-            s.units, s.left_out, s.coverage, s.accuracy, s.prognostic_horizon
-        ),
+        text: format!("{}; {}.", replayed(s), over_all(s)),
         tables: vec![by_share(s), by_band(s)],
         figures: vec![
             (format!("{fault}_reliability"), Figure::Trace(reliability(s))),
@@ -291,16 +291,18 @@ pub fn scores(scored: &[(String, f64, Scored)]) -> Report {
         summary: "Every forecast that would have been made of units whose end is known, against what came. On the diagonal a \
                 forecast is neither too sure nor too careful."
             .into(),
-        facts: vec![(
-            "program".into(),
-            format!("ema {} ({COMMIT})", env!("CARGO_PKG_VERSION")),
-        )],
+        facts: vec![program()],
         sections: scored.iter().map(section).collect(),
     }
 }
 
-fn rows(cells: impl Iterator<Item = Vec<String>>) -> Vec<TableRow> {
-    cells.map(|cells| TableRow { cells, emphasis: false }).collect()
+fn table(caption: &str, header: &[&str], rows: impl Iterator<Item = Vec<String>>, note: &str) -> Table {
+    Table {
+        caption: caption.into(),
+        header: header.iter().map(|h| h.to_string()).collect(),
+        rows: rows.map(|cells| TableRow { cells, emphasis: false }).collect(),
+        note: note.into(),
+    }
 }
 
 /// At a quarter, half and three quarters of the life.
@@ -327,12 +329,7 @@ fn by_share(s: &Scored) -> Table {
             both(a.crps),
         ]
     };
-    Table {
-        caption: "By share of the life".into(),
-        header: header.map(String::from).into(),
-        rows: rows(s.at.iter().map(row)),
-        note: String::new(),
-    }
+    table("By share of the life", &header, s.at.iter().map(row), "")
 }
 
 /// P(failure) by bands.
@@ -357,12 +354,8 @@ fn by_band(s: &Scored) -> Table {
             ]
         })
     });
-    Table {
-        caption: "Probability of failure".into(),
-        header: header.map(String::from).into(),
-        rows: rows(bands),
-        note: "Forecasts of one unit are not independent of each other.".into(),
-    }
+    let note = "Forecasts of one unit are not independent of each other.";
+    table("Probability of failure", &header, bands, note)
 }
 
 /// What happened over what was said, by time ahead.

@@ -4,7 +4,7 @@ use super::learn::Unit;
 use crate::Interrupted;
 use crate::progress::interrupted;
 use anyhow::Result;
-use diagnoser::prognosis::fleet::{Left, without_fleet};
+use diagnoser::prognosis::fleet::{COVERAGE, Left, without_fleet};
 use diagnoser::prognosis::forecast::{crps, quantile};
 use diagnoser::prognosis::outlook::LEAST_TESTS;
 use diagnoser::prognosis::special::middle;
@@ -275,12 +275,25 @@ pub fn to_json(s: &Scored, fault: &str, threshold: f64, lives: Option<usize>) ->
     })
 }
 
+/// How many lives, in words.
+pub fn replayed(s: &Scored) -> String {
+    format!(
+        "{} lives replayed, {} left out (no end known, or fewer than {LEAST_TESTS} tests)",
+        s.units, s.left_out
+    )
+}
+
+/// What was seen over all times, in words.
+pub fn over_all(s: &Scored) -> String {
+    format!(
+        "over all times: coverage {:.3} (stated {COVERAGE}), cumulative relative accuracy {:.2}, prognostic horizon {:.2} of the life",
+        s.coverage, s.accuracy, s.prognostic_horizon
+    )
+}
+
 /// For people.
 pub fn to_text(s: &Scored, fault: &str, threshold: f64) -> String {
-    let mut out = format!(
-        "{fault} {threshold}: {} lives replayed, {} left out (no end known, or fewer than {LEAST_TESTS} tests)\n",
-        s.units, s.left_out
-    );
+    let mut out = format!("{fault} {threshold}: {}\n", replayed(s));
     out += "share of life  coverage  median within 20 %  half of mass within 20 %  width / RUL        CRPS / RUL\n";
     for a in &s.at {
         out += &format!(
@@ -288,10 +301,7 @@ pub fn to_text(s: &Scored, fault: &str, threshold: f64) -> String {
             a.lambda, a.coverage, a.alpha_lambda, a.strict, a.width.0, a.width.1, a.crps.0, a.crps.1
         );
     }
-    out += &format!(
-        "over all times: coverage {:.3} (stated 0.9), cumulative relative accuracy {:.2}, prognostic horizon {:.2} of the life\n",
-        s.coverage, s.accuracy, s.prognostic_horizon
-    );
+    out += &format!("{}\n", over_all(s));
     for (h, b, bins) in &s.brier {
         let bins: Vec<String> = bins
             .iter()

@@ -3,7 +3,7 @@
 use super::{Ipc, MAX_NODES};
 use crate::error::{Error, Result};
 use iceoryx2::config::Config;
-use iceoryx2::node::{NodeState, NodeView};
+use iceoryx2::node::{DeadNodeView, NodeState, NodeView};
 use iceoryx2::prelude::*;
 use iceoryx2::service::Service;
 use std::collections::BTreeSet;
@@ -105,8 +105,17 @@ impl Domain {
         if !self.mend() {
             return;
         }
-        // looked for first: whoever has one of these and lives is in the list of nodes
-        let numbered = self.numbered();
+        let Some((dead, others)) = self.nodes() else { return };
+        for view in dead {
+            let _ = view.try_remove_stale_resources();
+        }
+        if others == 0 {
+            self.empty();
+        }
+    }
+
+    /// Nodes of dead processes, and the number of all others.
+    fn nodes(&self) -> Option<(Vec<DeadNodeView<Ipc>>, usize)> {
         let (mut dead, mut others) = (Vec::new(), 0);
         let listed = Node::<Ipc>::list(&self.config, |state| {
             match state {
@@ -115,32 +124,35 @@ impl Domain {
             }
             CallbackProgression::Continue
         });
-        for view in dead {
-            let _ = view.try_remove_stale_resources();
-        }
-        if listed.is_ok() && others == 0 {
-            numbered.iter().for_each(|f| drop(std::fs::remove_file(f)));
-        }
+        listed.ok().map(|()| (dead, others))
     }
 
-    /// Shared memory of this domain that has the unique number of its maker's port in its name: a process that dies while it
-    /// makes a port leaves some that its node does not tell of. Names without a number may be somebody's at any time; in iceoryx2's own
-    /// domain may be programs whose nodes are listed elsewhere: nothing of that.
-    fn numbered(&self) -> Vec<PathBuf> {
+    /// Removes shared memory that has the unique number of its maker's port in its name, if nobody is there: a process that dies while
+    /// it makes a port leaves some that its node does not tell of. Names without a number may be somebody's at any time; in iceoryx2's
+    /// own domain may be programs whose nodes are listed elsewhere: nothing of that.
+    fn empty(&self) {
         if self.config.global.prefix == Config::global_config().global.prefix {
-            return Vec::new();
+            return;
         }
         let is_numbered = |name: &str| {
             let number = name.rsplit_once('.').and_then(|(stem, _)| stem.rsplit_once('_'));
             number.is_some_and(|(_, n)| n.len() > 20 && n.bytes().all(|b| b.is_ascii_digit()))
         };
-        let all = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
-        all.filter(|e| {
-            let name = e.file_name().to_string_lossy().into_owned();
-            name.starts_with(&self.prefix()) && is_numbered(&name)
-        })
-        .map(|e| e.path())
-        .collect()
+        let all = self.files_in(Path::new("/dev/shm"));
+        let numbered: Vec<PathBuf> = all
+            .filter(|e| is_numbered(&e.file_name().to_string_lossy()))
+            .map(|e| e.path())
+            .collect();
+        // after they were found: whoever has one of them and lives is in the list
+        if !numbered.is_empty() && self.nodes().is_some_and(|(_, others)| others == 0) {
+            numbered.iter().for_each(|f| drop(std::fs::remove_file(f)));
+        }
+    }
+
+    /// What has this domain's prefix in a folder.
+    fn files_in(&self, dir: &Path) -> impl Iterator<Item = std::fs::DirEntry> {
+        let all = std::fs::read_dir(dir).into_iter().flatten().flatten();
+        all.filter(|e| e.file_name().to_string_lossy().starts_with(&self.prefix()))
     }
 
     /// Removes folders of nodes that died so early, or whose cleaner died so late, that nothing but
@@ -177,10 +189,7 @@ impl Domain {
         let services = self.config.global.service_dir().to_string();
         let mut found = Vec::new();
         for (dir, is_service) in [("/dev/shm", false), (services.as_str(), true)] {
-            for e in std::fs::read_dir(dir).into_iter().flatten().flatten() {
-                if !e.file_name().to_string_lossy().starts_with(&self.prefix()) {
-                    continue;
-                }
+            for e in self.files_in(Path::new(dir)) {
                 let Ok(data) = e.metadata() else { continue };
                 let mode = data.permissions().mode();
                 let complete = if is_service {

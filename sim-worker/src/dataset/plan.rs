@@ -1,7 +1,7 @@
 //! Fleet plans: which actuators, how they differ, which tests they run, and what is kept.
 
 use super::draw::{Distribution, random};
-use super::wear::{WearPlan, WornActuator};
+use super::wear::{Wear, WearPlan, WornActuator};
 use crate::catalogue;
 use crate::parameters::{self, ActuatorParameters, PARAMETERS};
 use crate::sensor::SensorModel;
@@ -15,7 +15,7 @@ use schemas::toml_section::{self, Section, quoted};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::Path;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 /// Hash of the sources that results depend on: results of other sources are never mixed with those of
 /// this program.
@@ -66,13 +66,6 @@ pub struct KeptTelemetry {
     pub stored: ChannelSet,
     /// of grid points, of tests
     pub of: (bool, bool),
-}
-
-/// How the actuators of a plan wear; each life is worked out when it is first asked for.
-#[derive(Clone, Debug)]
-struct Wear {
-    plan: WearPlan,
-    lives: Arc<[OnceLock<WornActuator>]>,
 }
 
 /// A fleet plan, checked.
@@ -318,10 +311,7 @@ impl DatasetPlan {
         let spread = spread(&mut s, &mut assumed)?;
         let actuators = actuators(&mut s, seed, &base, &spread)?;
         s.finish()?;
-        let wear = wear.map(|plan| Wear {
-            plan,
-            lives: actuators.iter().map(|_| OnceLock::new()).collect(),
-        });
+        let wear = wear.map(|plan| Wear::new(plan, actuators.len()));
         let mut text = text.trim_end().to_string() + "\n";
         if whole_text && !files.used.is_empty() {
             text += "\n# the files that the plan names\n[files]\n";
@@ -423,8 +413,7 @@ impl DatasetPlan {
         let wear = self.wear.as_ref()?;
         let most = [&self.grid.fsj, &self.grid.zeta].map(|axis| axis[axis.len() - 1]);
         let id = &self.actuators[actuator].id;
-        let life = || wear.plan.life(self.seed, id, self.tests_per_actuator, most);
-        Some(wear.lives[actuator].get_or_init(life))
+        Some(wear.life(actuator, |plan| plan.life(self.seed, id, self.tests_per_actuator, most)))
     }
 
     /// The parameters of one actuator as a TOML file.

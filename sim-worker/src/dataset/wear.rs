@@ -16,7 +16,7 @@ use schemas::fault::FaultState;
 use schemas::fingerprint::exact;
 use schemas::toml_section::Section;
 use std::f64::consts::TAU;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Most flights of a plan.
 const MOST_FLIGHTS: f64 = 20_000.0;
@@ -170,6 +170,25 @@ pub struct WearPlan {
     seasons: Option<Seasons>,
     /// FSJ, zeta
     faults: [Option<FaultWear>; 2],
+}
+
+/// How the actuators of a plan wear; each life is worked out when it is first asked for.
+#[derive(Clone, Debug)]
+pub(super) struct Wear {
+    pub plan: WearPlan,
+    lives: Arc<[OnceLock<WornActuator>]>,
+}
+
+impl Wear {
+    pub fn new(plan: WearPlan, actuators: usize) -> Self {
+        let lives = (0..actuators).map(|_| OnceLock::new()).collect();
+        Self { plan, lives }
+    }
+
+    /// The life of an actuator by its place, as `life` works it out.
+    pub fn life(&self, actuator: usize, life: impl FnOnce(&WearPlan) -> WornActuator) -> &WornActuator {
+        self.lives[actuator].get_or_init(|| life(&self.plan))
+    }
 }
 
 /// A fault of [`WearPlan`]: name in tables, level in a healthy actuator.
@@ -583,11 +602,8 @@ mod tests {
 
     #[test]
     fn prop_replaced_ones_begin_anew() {
-        let text = format!(
-            "[replaced]\nshare = 1\nrecorded = 0.5\n[temperature]\nyearly_k = 20\ndaily_k = 3\n{}",
-            ""
-        );
-        let p = plan(&format!("flights = 300\n{text}[fsj]\nlife_flights = 400\n")).unwrap();
+        let text = "flights = 300\n[replaced]\nshare = 1\nrecorded = 0.5\n[temperature]\nyearly_k = 20\ndaily_k = 3\n[fsj]\nlife_flights = 400\n";
+        let p = plan(text).unwrap();
         let lives: Vec<WornActuator> = (0..100).map(|k| p.life(9, &format!("b{k}"), 60, [5.0, 0.5])).collect();
         for l in &lives {
             let r = l.replaced.unwrap();

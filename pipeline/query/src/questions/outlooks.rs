@@ -6,15 +6,10 @@ use anyhow::Result;
 use polars::prelude::*;
 use std::path::Path;
 
-/// Orders of the rows: nulls last, a tie as in the file.
-fn order(descending: Vec<bool>) -> SortMultipleOptions {
-    let nulls_last = vec![true; descending.len()];
-    SortMultipleOptions {
-        descending,
-        nulls_last,
-        maintain_order: true,
-        ..SortMultipleOptions::default()
-    }
+/// Order of the rows by all keys: nulls last, a tie as in the file.
+fn order(is_falling: bool) -> SortMultipleOptions {
+    let order = SortMultipleOptions::default().with_order_descending(is_falling);
+    order.with_nulls_last(true).with_maintain_order(true)
 }
 
 /// Worst first: passed, then by the lower end of the remaining life; without a prognosis last.
@@ -39,7 +34,7 @@ pub fn at_risk(dir: &Path) -> Result<Vec<LazyFrame>> {
         "next_inspection",
         "reason",
     ];
-    let sorted = Table::Prognoses.scan(dir)?.sort_by_exprs(by, order(vec![false; 4]));
+    let sorted = Table::Prognoses.scan(dir)?.sort_by_exprs(by, order(false));
     Ok(vec![sorted.select(columns.map(col))])
 }
 
@@ -56,7 +51,7 @@ pub fn what_changed(dir: &Path) -> Result<Vec<LazyFrame>> {
         "since_hi",
         "text",
     ];
-    let sorted = Table::Alarms.scan(dir)?.sort_by_exprs([col("at")], order(vec![true]));
+    let sorted = Table::Alarms.scan(dir)?.sort_by_exprs([col("at")], order(true));
     Ok(vec![sorted.select(columns.map(col))])
 }
 
@@ -78,9 +73,7 @@ pub fn growth(dir: &Path) -> Result<Vec<LazyFrame>> {
             (col("rate").last() / col("rate").median()).alias("rate_over_median"),
             col("law").last(),
         ]);
-    Ok(vec![
-        grouped.sort_by_exprs([col("rate_over_median")], order(vec![true])),
-    ])
+    Ok(vec![grouped.sort_by_exprs([col("rate_over_median")], order(true))])
 }
 
 /// The table as it was read.
