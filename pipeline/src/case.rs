@@ -1,6 +1,6 @@
 //! Diagnosis of one recording, offline: the same extractor, maps and inversion that fly.
 
-use crate::input::{self, Measured};
+use crate::input::{self, How, Measured};
 use crate::maps::{self, MapRequest};
 use anyhow::Result;
 use diagnoser::diagnosis::{Diagnoser, Diagnosis, Known, Outcome, parse_known};
@@ -8,6 +8,7 @@ use diagnoser::failure_map::FailureMapSet;
 use diagnoser::live::{HIGHEST_RATE_HZ, LOWEST_RATE_HZ};
 use diagnoser::map_library::{self, Choice};
 use diagnoser::unit::UnitFile;
+use ema_tables::ChannelMap;
 use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
@@ -32,6 +33,8 @@ pub struct Settings {
     pub run: Option<u64>,
     /// name or file; recognised from the command if `None`
     pub sequence: Option<String>,
+    /// columns of the recording that are not called as ours
+    pub channels: Option<Arc<ChannelMap>>,
     /// `auto`, `none`, or a sensor model by name or file
     pub sensors: String,
     /// fault pairs of maps that are made on first use
@@ -64,11 +67,21 @@ impl Settings {
             maps: None,
             run: None,
             sequence: None,
+            channels: None,
             sensors: "auto".into(),
             grid: sim_worker::catalogue::grid("fine")?,
             known: Vec::new(),
             unit: None,
         })
+    }
+
+    /// How to read the recording.
+    pub fn how(&self) -> How<'_> {
+        How {
+            run: self.run,
+            channels: self.channels.as_deref(),
+            sequence: self.sequence.as_deref(),
+        }
     }
 
     /// The actuator that a recording is taken for.
@@ -259,7 +272,7 @@ pub fn test_of(path: &Path, measured: &Measured, settings: &Settings) -> Result<
 /// Refuses what [`input::open`] and [`test_of`] refuse, and a test of another kind than the maps'. Making
 /// maps may be interrupted ([`crate::Interrupted`]).
 pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
-    let measured = input::open(path, settings.run)?;
+    let measured = input::open(path, settings.how())?;
     let test = test_of(path, &measured, settings)?;
     let TestOf {
         mut setup,

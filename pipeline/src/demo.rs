@@ -245,6 +245,7 @@ pub(crate) fn run(out: &Path, grid_name: &str, seeds: u64, file: Option<&Path>) 
         maps: Some(dataset),
         run: None,
         sequence: None,
+        channels: None,
         sensors: "auto".into(),
         grid: grid.faults.clone(),
         choice,

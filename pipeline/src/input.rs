@@ -1,12 +1,11 @@
 //! Telemetry from outside: the project's Parquet, plain tables in CSV or Parquet, a run of a dataset, checked row by row.
 
-mod csv_table;
-mod parquet_table;
 mod plain;
 
 use crate::dataset::Dataset;
 use crate::dataset::export::KeptRun;
 use anyhow::{Result, bail};
+use ema_tables::{ChannelMap, Table};
 use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::recording::Provenance;
@@ -36,6 +35,33 @@ pub struct Measured {
     pub load_n_m: Option<f64>,
     /// all of the test, where the recording is a run of a dataset
     pub setup: Option<TestSetup>,
+    /// what was brought to our names and units, derived or aligned, in words
+    pub said: Vec<String>,
+}
+
+/// How to read a recording.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct How<'a> {
+    /// one of several runs
+    pub run: Option<u64>,
+    /// columns that are not called as ours
+    pub channels: Option<&'a ChannelMap>,
+    /// name or file of the sequence that was commanded; all that are built in where it is not said
+    pub sequence: Option<&'a str>,
+}
+
+impl How<'_> {
+    fn sequences(&self) -> Result<Vec<TestSequence>> {
+        let all = || {
+            sim_worker::catalogue::sequence_names()
+                .map(sim_worker::catalogue::sequence)
+                .collect()
+        };
+        let sequences: schemas::error::Result<_> = self
+            .sequence
+            .map_or_else(all, |name| sim_worker::catalogue::sequence(name).map(|s| vec![s]));
+        Ok(sequences?)
+    }
 }
 
 /// A dataset, rather than a file: a folder, or a URL.
@@ -69,11 +95,9 @@ pub(crate) fn runs(path: &Path) -> Result<Vec<Option<u64>>> {
             .flat_map(|p| p.runs.clone());
         return Ok(kept.map(Some).collect());
     }
-    if !is_parquet(path)? {
-        return Ok(vec![None]);
-    }
-    if parquet_table::is_plain(path)? {
-        return parquet_table::runs(path);
+    if !is_ours(path)? {
+        let runs = Table::read(path)?.runs()?;
+        return Ok(runs.map_or(vec![None], |r| r.into_iter().map(Some).collect()));
     }
     let mut numbers = Numbers::default();
     schemas::recording::Recording::open(path)?.replay(65_536, &mut numbers)?;
@@ -83,7 +107,8 @@ pub(crate) fn runs(path: &Path) -> Result<Vec<Option<u64>>> {
     Ok(numbers.0)
 }
 
-fn is_parquet(path: &Path) -> Result<bool> {
+/// Whether a file is telemetry of this project: Parquet that says what made it.
+fn is_ours(path: &Path) -> Result<bool> {
     let mut magic = [0; 4];
     let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
     let n = file
@@ -92,23 +117,24 @@ fn is_parquet(path: &Path) -> Result<bool> {
     if n == 0 {
         return Err(Error::torn(path, "empty file (0 bytes); allowed: a Parquet or CSV telemetry file").into());
     }
-    Ok(&magic == b"PAR1" || path.extension().is_some_and(|e| e == "parquet"))
+    let is_parquet = &magic == b"PAR1" || path.extension().is_some_and(|e| e == "parquet");
+    // another program's says nothing of the kind
+    Ok(is_parquet && schemas::table::metadata(path)?.contains_key("ema.schema_version"))
 }
 
-/// Opens a `.parquet` or `.csv` file, or a run of a dataset; `run` chooses one of several.
+/// Opens a file, a measured table in any dialect, or a run of a dataset.
 ///
 /// # Errors
 /// Refuses a file or dataset that cannot be read, several runs without a choice, missing columns, an unsteady
 /// time base and numbers that are not finite.
-pub fn open(path: &Path, run: Option<u64>) -> Result<Measured> {
+pub fn open(path: &Path, how: How<'_>) -> Result<Measured> {
     let m = if is_dataset(path) {
-        open_dataset(path, run)?
-    } else if !is_parquet(path)? {
-        csv_table::open(path)?
-    } else if parquet_table::is_plain(path)? {
-        parquet_table::open(path, run)?
+        open_dataset(path, how.run)?
+    } else if is_ours(path)? {
+        open_parquet(path, how.run)?
     } else {
-        open_parquet(path, run)?
+        let table = Table::read(path)?;
+        plain::measured(&table, table.telemetry(how.run, how.channels)?, &how.sequences()?)?
     };
     check(path, &m)?;
     Ok(m)
@@ -156,6 +182,7 @@ impl Measured {
             sensors: p.sensors,
             load_n_m: (p.model != "measured").then_some(p.load_n_m),
             setup,
+            said: Vec::new(),
         }
     }
 }
@@ -224,12 +251,19 @@ fn agreement(m: &Measured, sequence: &TestSequence, step_s: f64) -> (f64, usize)
     (good as f64 / com.len() as f64, n)
 }
 
+/// Share of a recording's samples whose command is the sequence's, of one that follows it.
+const ENOUGH: f64 = 0.98;
+
+/// Whether the recording's command is that of the sequence.
+fn follows(m: &Measured, sequence: &TestSequence) -> bool {
+    agreement(m, sequence, 1.0 / m.rate_hz).0 >= ENOUGH
+}
+
 /// The sequence that the recording's command follows.
 ///
 /// # Errors
 /// Refuses a command that the sequence wanted, or any known one, does not follow in 98 % of the samples.
 pub fn recognise(path: &Path, m: &Measured, wanted: Option<&str>, step_s: f64) -> Result<TestSequence> {
-    const ENOUGH: f64 = 0.98;
     let by_name = wanted.or((!m.sequence.is_empty()).then_some(m.sequence.as_str()));
     if let Some(name) = by_name {
         if let Ok(s) = sim_worker::catalogue::sequence(name) {

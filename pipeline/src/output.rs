@@ -113,12 +113,14 @@ impl TelemetrySink for Writer {
     }
 }
 
-/// 12 significant digits, as short as they allow.
+/// 12 significant digits, as short as they allow; whole numbers with a point, or readers that guess types from the first
+/// rows take a column for one of integers.
 pub fn digits(x: f64) -> String {
     let rounded: f64 = format!("{x:.11e}").parse().unwrap_or(x);
     if rounded != 0.0 && (rounded.abs() < 1e-4 || rounded.abs() >= 1e12) {
         format!("{rounded:e}")
     } else {
-        format!("{rounded}")
+        let text = format!("{rounded}");
+        if text.contains('.') { text } else { text + ".0" }
     }
 }

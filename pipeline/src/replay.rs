@@ -76,7 +76,11 @@ struct Take {
 
 impl Replay {
     fn take(&self, path: &Path, run: Option<u64>, number: Option<u64>) -> Result<Take> {
-        let measured = input::open(path, run)?;
+        let how = input::How {
+            run,
+            ..self.settings.how()
+        };
+        let measured = input::open(path, how)?;
         let actuator = self.settings.actuator_of(&measured);
         let sequence = match &measured.setup {
             Some(s) if self.settings.sequence.is_none() => s.sequence.clone(),

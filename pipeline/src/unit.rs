@@ -299,7 +299,7 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
         return Ok(Shown::Again);
     }
     unit.tests.retain(|t| t.checksum != checksum);
-    let measured = input::open(path, settings.run)?;
+    let measured = input::open(path, settings.how())?;
     let settings = Settings {
         actuator: Some(Arc::new(unit.actuator.clone())),
         ..settings.clone()

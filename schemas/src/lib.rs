@@ -46,6 +46,7 @@
 #![warn(missing_docs, clippy::missing_errors_doc)]
 
 pub mod channel;
+mod checksums;
 mod declared;
 pub mod error;
 pub mod fault;
@@ -57,6 +58,7 @@ pub mod recording;
 pub mod run_encoder;
 pub mod sequence;
 pub mod stream;
+pub mod table;
 pub mod telemetry;
 pub mod test_kind;
 pub mod toml_section;

@@ -3,18 +3,15 @@
 
 use crate::SCHEMA_VERSION;
 use crate::channel::{Channel, ChannelSet};
+use crate::checksums::{RunDigest, RunSum, pair};
 use crate::error::{Error, Result, temporary};
 use crate::fault::FaultState;
-use crate::guard::{Ending, guarded};
+use crate::table::{Batches, open, pairs, writer_properties};
 use crate::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use arrow::array::{Array, ArrayRef, AsArray, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
-use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, SchemaRef, UInt64Type};
-use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
-use parquet::arrow::{ArrowWriter, ProjectionMask};
-use parquet::basic::{Compression, Encoding, ZstdLevel};
+use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, UInt64Type};
+use parquet::arrow::ArrowWriter;
 use parquet::file::metadata::KeyValue;
-use parquet::file::properties::{EnabledStatistics, WriterProperties};
-use parquet::schema::types::ColumnPath;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -131,85 +128,6 @@ pub(crate) fn telemetry_schema(channels: ChannelSet, single: bool) -> Schema {
     Schema::new(fields)
 }
 
-/// Writer settings shared by all tables: zstd level 1, no dictionary, byte-stream-split for
-/// floats, delta for time, dictionary for the columns that are constant over a run.
-pub fn writer_properties(schema: &Schema, pairs: Vec<(String, String)>) -> WriterProperties {
-    let mut b = WriterProperties::builder()
-        .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).expect("1 is a level")))
-        .set_dictionary_enabled(false)
-        .set_statistics_enabled(EnabledStatistics::Page)
-        .set_data_page_row_count_limit(usize::MAX)
-        .set_key_value_metadata(Some(pairs.into_iter().map(|(k, v)| KeyValue::new(k, v)).collect()));
-    for f in schema.fields() {
-        let column = ColumnPath::from(f.name().as_str());
-        b = match (f.name().as_str(), f.data_type()) {
-            ("run" | "fsj" | "zeta" | "rest_angle_rad", _) => b.set_column_dictionary_enabled(column, true),
-            (_, DataType::Float32 | DataType::Float64) => b.set_column_encoding(column, Encoding::BYTE_STREAM_SPLIT),
-            (_, DataType::Int64) => b.set_column_encoding(column, Encoding::DELTA_BINARY_PACKED),
-            _ => b,
-        };
-    }
-    b.build()
-}
-
-/// Writer settings of a fleet's tables, which are small and asked often: dictionaries for texts and for what
-/// repeats, zstd level 1 for these; measured values plain and uncompressed. (Byte-stream-split would take a
-/// fifth less room, and readers several times as long.)
-pub fn query_properties(schema: &Schema, pairs: Vec<(String, String)>) -> WriterProperties {
-    let mut b = writer_properties(schema, pairs)
-        .into_builder()
-        .set_statistics_enabled(EnabledStatistics::Chunk);
-    for f in schema.fields() {
-        let column = ColumnPath::from(f.name().as_str());
-        let repeats = matches!(f.name().as_str(), "fsj" | "zeta" | "rest_angle_rad");
-        b = match f.data_type() {
-            DataType::Utf8 => b.set_column_dictionary_enabled(column, true),
-            DataType::Float64 if repeats => b,
-            DataType::Float64 => b
-                .set_column_encoding(column.clone(), Encoding::PLAIN)
-                .set_column_compression(column, Compression::UNCOMPRESSED),
-            DataType::UInt64 => b
-                .set_column_dictionary_enabled(column.clone(), false)
-                .set_column_encoding(column, Encoding::DELTA_BINARY_PACKED),
-            _ => b,
-        };
-    }
-    b.build()
-}
-
-/// Writes a whole table under a temporary name and renames it: it is visible complete or not at all.
-///
-/// # Errors
-/// What the disk refuses.
-pub fn write_table(path: &Path, batch: &RecordBatch, pairs: Vec<(String, String)>) -> Result<()> {
-    let properties = writer_properties(&batch.schema(), pairs);
-    let bytes = in_memory(std::slice::from_ref(batch), properties).map_err(|e| Error::torn(path, e))?;
-    crate::error::write_whole(path, &bytes)
-}
-
-/// A table of a fleet as the bytes of a Parquet file, a row group a batch; settings as [`query_properties`].
-///
-/// # Errors
-/// What the Parquet writer refuses: batches of different columns.
-///
-/// # Panics
-/// Without a batch.
-pub fn table_bytes(batches: &[RecordBatch], pairs: Vec<(String, String)>) -> Result<Vec<u8>> {
-    let properties = query_properties(&batches[0].schema(), pairs);
-    in_memory(batches, properties).map_err(|e| Error::torn(Path::new("table in memory"), e))
-}
-
-fn in_memory(batches: &[RecordBatch], properties: WriterProperties) -> parquet::errors::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let mut w = ArrowWriter::try_new(&mut bytes, batches[0].schema(), Some(properties))?;
-    for b in batches {
-        w.write(b)?;
-        w.flush()?;
-    }
-    w.close()?;
-    Ok(bytes)
-}
-
 /// A failure of the disk, as the Parquet writer reports it.
 fn unwritten(path: &Path, why: impl std::fmt::Display) -> Error {
     Error::io(path, "cannot be written", std::io::Error::other(why.to_string()))
@@ -224,7 +142,11 @@ pub struct Recorder {
     single: bool,
     rate_hz: f64,
     writer: Option<ArrowWriter<File>>,
-    run: Option<u64>,
+    pairs: Vec<(String, String)>,
+    /// The run that is being written.
+    run: Option<(u64, RunSum)>,
+    /// Runs that were written.
+    runs: Vec<(u64, RunDigest)>,
 }
 
 impl Recorder {
@@ -247,8 +169,14 @@ impl Recorder {
             single,
             rate_hz: provenance.rate_hz,
             writer: Some(writer),
+            pairs: provenance.pairs(),
             run: None,
+            runs: Vec::new(),
         })
+    }
+
+    fn end_run(&mut self) {
+        self.runs.extend(self.run.take().map(|(run, sum)| (run, sum.finish())));
     }
 
     /// Ends the file and gives it its name.
@@ -256,7 +184,10 @@ impl Recorder {
     /// # Errors
     /// What the disk refuses; what stood under the name before then stays.
     pub fn finish(mut self) -> Result<()> {
-        let writer = self.writer.take().expect("finish is called once");
+        let mut writer = self.writer.take().expect("finish is called once");
+        self.end_run();
+        let (key, checksums) = pair(self.pairs.drain(..), self.runs.iter().map(|(run, d)| (*run, d)));
+        writer.append_key_value_metadata(KeyValue::new(key, checksums));
         let result = writer
             .into_inner()
             .map_err(|e| unwritten(&self.path, e))
@@ -285,10 +216,10 @@ impl Drop for Recorder {
 impl TelemetrySink for Recorder {
     fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> Result<()> {
         let writer = self.writer.as_mut().expect("not finished");
-        if self.run.is_some_and(|r| r != header.run) {
+        if self.run.as_ref().is_some_and(|(run, _)| *run != header.run) {
             writer.flush().map_err(|e| unwritten(&self.path, e))?;
+            self.end_run();
         }
-        self.run = Some(header.run);
         let n = view.rows;
         let constant = |x: Option<f64>| -> ArrayRef { Arc::new(Float64Array::from(vec![x; n])) };
         let time = |i: usize| ((view.first + i as u64) as f64 / self.rate_hz * 1e9).round() as i64;
@@ -311,6 +242,9 @@ impl TelemetrySink for Recorder {
             });
         }
         let batch = RecordBatch::try_new(self.schema.clone(), columns).map_err(|e| Error::torn(&self.path, e))?;
+        let (_, sum) = self.run.get_or_insert_with(|| (header.run, RunSum::default()));
+        sum.take(self.schema.fields(), batch.columns());
+        let writer = self.writer.as_mut().expect("not finished");
         writer.write(&batch).map_err(|e| unwritten(&self.path, e))
     }
 }
@@ -324,151 +258,6 @@ pub struct Recording {
     pub channels: ChannelSet,
     /// samples of all runs
     pub rows: u64,
-}
-
-/// A Parquet file by its footer, which declares no more than the file can hold.
-///
-/// # Errors
-/// A file that is not there, is empty, is not whole, or whose footer contradicts itself.
-pub fn open(path: &Path) -> Result<ParquetRecordBatchReaderBuilder<Ending<File>>> {
-    let file = File::open(path).map_err(|e| Error::io(path, "cannot be read", e))?;
-    let size = file.metadata().map_err(|e| Error::io(path, "cannot be read", e))?.len();
-    if size == 0 {
-        return Err(Error::torn(
-            path,
-            "empty file (0 bytes); allowed: a Parquet or CSV telemetry file",
-        ));
-    }
-    let whole = |e: String| Error::torn(path, format!("not a whole Parquet file of {size} bytes ({e})"));
-    let builder = guarded(|| ParquetRecordBatchReaderBuilder::try_new(Ending(file)))
-        .map_err(|e| whole(e.to_string()))?
-        .map_err(|e| whole(e.to_string()))?;
-    crate::declared::check(path, builder.metadata(), size)?;
-    Ok(builder)
-}
-
-/// Whether the footer of a Parquet file can be read, and declares no more than the file can hold.
-///
-/// # Errors
-/// A file that is not there, is empty, is not whole, or whose footer contradicts itself.
-pub fn check_footer(path: &Path) -> Result<()> {
-    open(path).map(|_| ())
-}
-
-/// The batches of a file; what its decoder cannot stand is a torn file.
-struct Batches {
-    reader: Option<ParquetRecordBatchReader>,
-    path: PathBuf,
-    /// Rows that the footer declares and that did not come yet.
-    due: u64,
-}
-
-impl Batches {
-    fn of(path: &Path, builder: ParquetRecordBatchReaderBuilder<Ending<File>>) -> Result<Self> {
-        // checked when opened
-        let due = builder.metadata().file_metadata().num_rows() as u64;
-        let reader = guarded(|| builder.build()).map_err(|e| Error::torn(path, e))?;
-        Ok(Self {
-            reader: Some(reader.map_err(|e| Error::torn(path, e))?),
-            path: path.into(),
-            due,
-        })
-    }
-
-    /// Counts the rows of a block; at the end, all that the footer declares must have come.
-    fn counted(&mut self, batch: Option<RecordBatch>) -> Option<Result<RecordBatch>> {
-        match batch {
-            Some(b) => {
-                self.due = self.due.saturating_sub(b.num_rows() as u64);
-                Some(Ok(b))
-            }
-            None if self.due > 0 => {
-                let why = format!("not whole: {} rows fewer than its footer declares", self.due);
-                self.reader = None;
-                Some(Err(Error::torn(&self.path, why)))
-            }
-            None => None,
-        }
-    }
-}
-
-impl Iterator for Batches {
-    type Item = Result<RecordBatch>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let reader = self.reader.as_mut()?;
-        match guarded(|| reader.next()) {
-            Ok(batch) => match batch.transpose() {
-                Ok(batch) => self.counted(batch),
-                Err(e) => Some(Err(Error::torn(&self.path, e))),
-            },
-            Err(e) => {
-                self.reader = None;
-                Some(Err(Error::torn(&self.path, e)))
-            }
-        }
-    }
-}
-
-/// All rows of any Parquet file.
-///
-/// # Errors
-/// A file that is not there, is empty, or is not whole.
-pub fn read_batches(path: &Path) -> Result<Vec<RecordBatch>> {
-    Ok(read_table(path)?.1)
-}
-
-/// The columns of any Parquet file, rows or none, and all its rows.
-///
-/// # Errors
-/// As [`read_batches`].
-pub fn read_table(path: &Path) -> Result<(SchemaRef, Vec<RecordBatch>)> {
-    let builder = open(path)?;
-    let schema = builder.schema().clone();
-    Ok((schema, Batches::of(path, builder)?.collect::<Result<_>>()?))
-}
-
-/// The rows of some columns of a Parquet file, in blocks: those whose name `wanted` takes.
-///
-/// # Errors
-/// As [`read_batches`], in turn; what `sink` refuses.
-pub fn read_columns(
-    path: &Path,
-    wanted: impl Fn(&str) -> bool,
-    mut sink: impl FnMut(&RecordBatch) -> Result<()>,
-) -> Result<()> {
-    let builder = open(path)?;
-    let fields = builder.schema().fields();
-    let columns: Vec<usize> = (0..fields.len()).filter(|&i| wanted(fields[i].name())).collect();
-    let mask = ProjectionMask::roots(builder.parquet_schema(), columns);
-    for batch in Batches::of(path, builder.with_projection(mask).with_batch_size(8192))? {
-        sink(&batch?)?;
-    }
-    Ok(())
-}
-
-/// The columns of a Parquet file; nothing of its rows is read.
-///
-/// # Errors
-/// As [`check_footer`].
-pub fn columns(path: &Path) -> Result<SchemaRef> {
-    Ok(open(path)?.schema().clone())
-}
-
-/// Key-value metadata of a Parquet file.
-///
-/// # Errors
-/// A file that is not there, is empty, or is not whole.
-pub fn metadata(path: &Path) -> Result<BTreeMap<String, String>> {
-    Ok(pairs(&open(path)?))
-}
-
-fn pairs(builder: &ParquetRecordBatchReaderBuilder<Ending<File>>) -> BTreeMap<String, String> {
-    let list = builder.metadata().file_metadata().key_value_metadata();
-    list.into_iter()
-        .flatten()
-        .filter_map(|kv| Some((kv.key.clone(), kv.value.clone()?)))
-        .collect()
 }
 
 impl Recording {
@@ -509,7 +298,7 @@ impl Recording {
         let mut seen = 0;
         let mut buffer = TelemetryBuffer::new(self.channels, block);
         let mut next = (u64::MAX, 0);
-        for batch in Batches::of(&self.path, open(&self.path)?.with_batch_size(block))? {
+        for batch in Batches::whole(&self.path, open(&self.path)?.with_batch_size(block))? {
             let batch = batch?;
             let needed = ["run", "t_ns"]
                 .into_iter()

@@ -3,8 +3,10 @@
 //! `README.md` of this crate is the specification of the table; [`crate::recording::Recording`] reads it.
 
 use crate::channel::{Channel, ChannelSet};
+use crate::checksums::{RunDigest, RunSum, pair};
 use crate::error::{Error, Result};
-use crate::recording::{telemetry_schema, writer_properties};
+use crate::recording::telemetry_schema;
+use crate::table::writer_properties;
 use crate::telemetry::TelemetryView;
 use arrow::array::{ArrayRef, Float32Array, Float64Array, Int64Array, UInt64Array};
 use arrow::datatypes::{Field, Schema};
@@ -115,6 +117,7 @@ impl TelemetryLayout {
             },
             time: Vec::with_capacity(ROWS),
             rows: 0,
+            sum: RunSum::default(),
         })
     }
 
@@ -122,7 +125,8 @@ impl TelemetryLayout {
     ///
     /// # Errors
     /// Runs of another layout.
-    pub fn file(&self, runs: Vec<RunChunk>, pairs: Vec<(String, String)>) -> Result<Vec<u8>> {
+    pub fn file(&self, runs: Vec<RunChunk>, mut pairs: Vec<(String, String)>) -> Result<Vec<u8>> {
+        pairs.push(pair(pairs.clone(), runs.iter().map(|r| (r.run, &r.digest))));
         let properties = Arc::new(Self::properties(&self.schema, pairs));
         let mut bytes = Vec::new();
         let mut file =
@@ -156,6 +160,7 @@ pub struct RunEncoder {
     waiting: Waiting,
     time: Vec<i64>,
     rows: u64,
+    sum: RunSum,
 }
 
 /// An encoded run: a row group to be.
@@ -165,6 +170,7 @@ pub struct RunChunk {
     /// samples
     pub rows: u64,
     columns: Vec<ArrowColumnChunk>,
+    digest: RunDigest,
 }
 
 impl RunEncoder {
@@ -220,6 +226,7 @@ impl RunEncoder {
                 }))
             }
         }
+        self.sum.take(self.schema.fields(), &arrays);
         for ((field, array), column) in self.schema.fields().iter().zip(&arrays).zip(&mut self.columns) {
             for leaf in compute_leaves(field, array).map_err(unforeseen)? {
                 column.write(&leaf).map_err(unforeseen)?;
@@ -238,6 +245,7 @@ impl RunEncoder {
         Ok(RunChunk {
             run: self.run,
             rows: self.rows,
+            digest: self.sum.finish(),
             columns: self.columns.into_iter().map(close).collect::<Result<_>>()?,
         })
     }

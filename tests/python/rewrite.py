@@ -15,8 +15,8 @@ source, folder = sys.argv[1], pathlib.Path(sys.argv[2])
 made = []
 
 
-def out(name):
-    made.append(folder / f"{name}.parquet")
+def out(name, suffix="parquet"):
+    made.append(folder / f"{name}.{suffix}")
     return made[-1]
 
 
@@ -47,5 +47,21 @@ split = dict.fromkeys(floats, "BYTE_STREAM_SPLIT") | dict.fromkeys(whole, "DELTA
 pq.write_table(table, out("pyarrow-split"), use_dictionary=False, column_encoding=split)
 bare = table.replace_schema_metadata(None)
 pq.write_table(bare, out("pyarrow-bare"), store_schema=False)
+
+frame.to_feather(out("pandas-lz4", "feather"))
+frame.to_feather(out("pandas-zstd", "feather"), compression="zstd")
+lazy.write_ipc(out("polars", "arrow"))
+lazy.write_ipc(out("polars-zstd", "arrow"), compression="zstd")
+lazy.write_ipc_stream(out("polars-stream", "arrows"))
+
+# with a clock of a calendar in place of a time
+moments = pandas.to_datetime("2026-11-22T10:00:00Z") + pandas.to_timedelta(frame["t_ns"], unit="ns")
+clock = frame.drop(columns=["t_ns", "run", "fsj", "zeta", "rest_angle_rad"]).assign(time=moments)
+clock.to_parquet(out("clock-pandas"))
+polars.from_pandas(clock).write_ipc(out("clock-polars", "arrow"))
+clock.to_csv(out("clock-pandas", "csv"), index=False)
+clock.set_index("time").to_parquet(out("clock-index"))
+polars.from_pandas(clock).with_columns(polars.col("time").dt.time()).write_parquet(out("clock-of-day"))
+clock.assign(time=pandas.to_timedelta(frame["t_ns"], unit="ns")).to_parquet(out("clock-duration"))
 
 print("\n".join(str(m) for m in made))

@@ -402,7 +402,7 @@ pub fn logged(log: &Path) -> Vec<Value> {
     use arrow::array::{Array, AsArray};
     use arrow::datatypes::{Float64Type, UInt64Type};
     let mut rows = Vec::new();
-    for batch in schemas::recording::read_batches(log).unwrap() {
+    for batch in schemas::table::read_batches(log).unwrap() {
         let text = |n: &str, i: usize| batch[n].as_string::<i32>().value(i).to_string();
         let whole = |n: &str, i: usize| batch[n].as_primitive::<UInt64Type>().value(i);
         let number = |n: &str, i: usize| {

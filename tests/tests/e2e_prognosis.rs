@@ -169,7 +169,7 @@ fn e2e_tables_and_a_page_are_written_and_two_faults_have_a_joint_life() {
     ] {
         assert!(out.join(name).metadata().is_ok_and(|m| m.len() > 500), "{name}");
     }
-    let rows = schemas::recording::read_batches(&out.join("prognoses.parquet")).unwrap();
+    let rows = schemas::table::read_batches(&out.join("prognoses.parquet")).unwrap();
     assert_eq!(rows.iter().map(|b| b.num_rows()).sum::<usize>(), 9);
 }
 

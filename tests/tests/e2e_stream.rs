@@ -86,7 +86,7 @@ fn e2e_live_replay_and_offline_give_the_same_bits() {
         let again = ok(&domain, &["diagnose", f.to_str().unwrap(), "--json"]);
         same(offline, &serde_json::from_str(&again).unwrap());
     }
-    let rows = schemas::recording::metadata(&log).unwrap();
+    let rows = schemas::table::metadata(&log).unwrap();
     assert_eq!(rows["ema.schema_version"], "1");
 }
 

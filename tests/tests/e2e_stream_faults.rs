@@ -487,7 +487,7 @@ fn logged_runs(log: &Path) -> Vec<u64> {
         return runs.collect();
     }
     let mut runs = Vec::new();
-    for batch in schemas::recording::read_batches(log).unwrap() {
+    for batch in schemas::table::read_batches(log).unwrap() {
         let column = batch.column_by_name("run").unwrap();
         let column = column.as_any().downcast_ref::<arrow::array::UInt64Array>().unwrap();
         runs.extend(column.values());

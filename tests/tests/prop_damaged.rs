@@ -259,7 +259,7 @@ fn prop_damaged_files_are_read_or_refused_in_one_line() {
 /// The recording with the settings of other programs, and without metadata.
 fn plain(source: &Path) -> Vec<u8> {
     use parquet::basic::Compression;
-    let (schema, batches) = schemas::recording::read_table(source).unwrap();
+    let (schema, batches) = schemas::table::read_table(source).unwrap();
     let settings = parquet::file::properties::WriterProperties::builder().set_compression(Compression::SNAPPY);
     let mut bytes = Vec::new();
     let mut w = parquet::arrow::ArrowWriter::try_new(&mut bytes, schema, Some(settings.build())).unwrap();

@@ -7,7 +7,8 @@ use arrow::datatypes::{DataType, Field, Float64Type, Schema};
 use schemas::error::{Error, Result};
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::fingerprint::{checksum, exact, fingerprint};
-use schemas::recording::{Provenance, write_table};
+use schemas::recording::Provenance;
+use schemas::table::write_table;
 use schemas::test_kind::TestKind;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -224,7 +225,7 @@ impl FailureMapSet {
     /// Refuses another schema version, torn and changed files, incomplete grids, fewer than two maps, and what
     /// [`FailureMap::build`] or [`FailureMapSet::check`] refuses.
     pub fn load(path: &Path) -> Result<Self> {
-        let pairs = schemas::recording::metadata(path)?;
+        let pairs = schemas::table::metadata(path)?;
         Provenance::from_pairs(path, &pairs)?;
         let file = path.display().to_string();
         let text = pairs
@@ -232,7 +233,7 @@ impl FailureMapSet {
             .ok_or_else(|| Error::bad(&file, "metadata `ema.maps`", "nothing", "a file written by `ema maps`"))?;
         let stored: Stored = serde_json::from_str(text).map_err(|e| Error::torn(path, e))?;
         let mut rows: BTreeMap<Feature, Vec<[f64; 4]>> = BTreeMap::new();
-        let batches = schemas::recording::read_batches(path)?;
+        let batches = schemas::table::read_batches(path)?;
         let missing = |n| {
             let allowed = "those of schemas/README.md";
             Error::bad(&file, "columns", format!("no `{n}` of its type"), allowed)

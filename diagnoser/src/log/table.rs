@@ -18,8 +18,8 @@ use parquet::file::serialized_reader::SerializedFileReader;
 use parquet::file::writer::SerializedFileWriter;
 use schemas::error::{Error, Result, temporary};
 use schemas::guard::guarded;
-use schemas::recording::open;
 use schemas::stream::wire::to_text;
+use schemas::table::open;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -201,7 +201,7 @@ fn copy_groups<W: Write + Send>(
 fn in_memory(rows: &RecordBatch, journal: &str) -> parquet::errors::Result<Vec<u8>> {
     let version = ("ema.schema_version".to_string(), schemas::SCHEMA_VERSION.to_string());
     let pairs = vec![version, (JOURNAL.to_string(), journal.to_string())];
-    let properties = schemas::recording::writer_properties(&rows.schema(), pairs);
+    let properties = schemas::table::writer_properties(&rows.schema(), pairs);
     let mut bytes = Vec::new();
     let mut writer = ArrowWriter::try_new(&mut bytes, rows.schema(), Some(properties))?;
     for from in (0..rows.num_rows()).step_by(GROUP) {

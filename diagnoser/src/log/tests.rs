@@ -43,7 +43,7 @@ fn logged(run: u64) -> Logged {
 /// All rows of a table.
 fn rows(path: &Path) -> Vec<RecordBatch> {
     let schema = to_batch(&[]).schema();
-    let batches = schemas::recording::read_batches(path).unwrap();
+    let batches = schemas::table::read_batches(path).unwrap();
     let typed = |b: RecordBatch| RecordBatch::try_new(schema.clone(), b.columns().to_vec()).unwrap();
     batches.into_iter().map(typed).collect()
 }
@@ -89,7 +89,7 @@ fn prop_a_log_goes_on_where_it_ended() {
     // also one without rows
     let field = arrow::datatypes::Field::new("x", arrow::datatypes::DataType::Float64, false);
     let empty = RecordBatch::new_empty(Arc::new(arrow::datatypes::Schema::new(vec![field])));
-    let bytes = schemas::recording::table_bytes(&[empty], Vec::new()).unwrap();
+    let bytes = schemas::table::table_bytes(&[empty], Vec::new()).unwrap();
     std::fs::write(&other, &bytes).unwrap();
     assert!(Log::open(&other, Arc::new(|_: &str| ())).is_err());
     assert_eq!(std::fs::read(&other).unwrap(), bytes);
@@ -166,7 +166,7 @@ fn prop_full_row_groups_are_copied_and_the_rest_stays_in_order() {
     let file = std::fs::File::open(&path).unwrap();
     let reader = parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder::try_new(file).unwrap();
     assert_eq!(reader.metadata().num_row_groups() as u64, next.div_ceil(64));
-    assert_eq!(schemas::recording::metadata(&path).unwrap()["ema.schema_version"], "1");
+    assert_eq!(schemas::table::metadata(&path).unwrap()["ema.schema_version"], "1");
     std::fs::remove_dir_all(&dir).unwrap();
 }
 

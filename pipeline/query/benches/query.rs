@@ -96,7 +96,7 @@ impl File {
     fn group(&mut self, columns: Columns) {
         let batch = columns.batch();
         let writer = self.0.get_or_insert_with(|| {
-            let properties = schemas::recording::query_properties(&batch.schema(), Vec::new());
+            let properties = schemas::table::query_properties(&batch.schema(), Vec::new());
             let file = std::fs::File::create(&self.1).expect("a file");
             ArrowWriter::try_new(file, batch.schema(), Some(properties)).expect("a writer")
         });

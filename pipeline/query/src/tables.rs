@@ -3,7 +3,7 @@
 use anyhow::Result;
 use polars::prelude::*;
 use schemas::error::Error;
-use schemas::recording::check_footer;
+use schemas::table::check_footer;
 use std::path::Path;
 use std::sync::Arc;
 

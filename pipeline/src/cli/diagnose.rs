@@ -24,8 +24,9 @@ enum Method {
 
 #[derive(Args)]
 pub struct DiagnoseArgs {
-    /// Telemetry: the project's Parquet, CSV with columns t,com,theta_u,theta_m,omega_m,i_eq[,i_a,i_b,i_c], or a
-    /// dataset (--run chooses the run)
+    /// Telemetry: the project's Parquet; a table with columns t, com, theta_m, omega_m and i_eq or i_a, i_b, i_c in CSV
+    /// (any separator, decimal comma, units in the header or below it, gzip, zstd), Parquet or Arrow IPC of any program;
+    /// or a dataset (--run chooses the run)
     file: PathBuf,
     /// Folder (or file) of saved maps; those of the actuator, made on first use, if left out
     #[arg(long)]
@@ -200,6 +201,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         run: a.run,
         sequence: a.recording.sequence.clone(),
         sensors: a.recording.sensors.clone(),
+        channels: a.recording.channel_map()?,
         grid: sim_worker::catalogue::grid(&a.grid)?,
         choice,
         known: a.known.clone(),
@@ -230,12 +232,22 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
                 "name": unit.name, "tests": unit.taken(), "healthy_tests": unit.healthy(), "reference": unit.reference(),
             });
         }
+        if !case.measured.said.is_empty() {
+            json["read"] = case.measured.said.clone().into();
+        }
         if let Some(next) = &next {
             json["next_command"] = next.0.clone().into();
         }
         say(&json.to_string());
     } else {
         say(&case::to_text(&case));
+        for (i, said) in case.measured.said.iter().enumerate() {
+            say(&format!(
+                "{:<9} {}",
+                if i == 0 { "read" } else { "" },
+                schemas::foreign::line(said)
+            ));
+        }
         if let Some(unit) = &settings.unit {
             say(&of_unit(unit));
         }

@@ -18,6 +18,7 @@ mod unit;
 use crate::Interrupted;
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
+use ema_tables::ChannelMap;
 use schemas::error::{EXIT_INTERRUPTED, Error};
 use schemas::foreign;
 use sim_worker::parameters::ActuatorParameters;
@@ -175,6 +176,16 @@ pub struct RecordingArgs {
     /// Sensor model: auto, none, reference, or a TOML file
     #[arg(long, default_value = "auto")]
     sensors: String,
+    /// Which column of a table is which channel, and in what unit: the section [channels] of a bench file
+    #[arg(long, value_name = "BENCH.toml")]
+    channels: Option<PathBuf>,
+}
+
+impl RecordingArgs {
+    fn channel_map(&self) -> Result<Option<Arc<ChannelMap>>> {
+        let map = self.channels.as_deref().map(ChannelMap::read).transpose()?;
+        Ok(map.map(Arc::new))
+    }
 }
 
 /// Parses the command line, works, and says how it ended.

@@ -59,7 +59,7 @@ pub fn plot(a: &PlotArgs) -> Result<ExitCode> {
         What::Telemetry { files, channels, out } => {
             let mut runs = Vec::new();
             for f in files {
-                let m = crate::input::open(f, None)?;
+                let m = crate::input::open(f, crate::input::How::default())?;
                 let name = f
                     .file_stem()
                     .map(|s| s.to_string_lossy().into_owned())

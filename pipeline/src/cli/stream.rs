@@ -231,6 +231,7 @@ pub fn replay(a: &ReplayArgs) -> Result<ExitCode> {
             run: None,
             sequence: a.recording.sequence.clone(),
             sensors: a.recording.sensors.clone(),
+            channels: a.recording.channel_map()?,
             grid: sim_worker::catalogue::grid("fine")?,
             choice: Choice::usual(),
             known: Vec::new(),

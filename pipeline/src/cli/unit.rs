@@ -148,6 +148,7 @@ fn update(a: &UpdateArgs) -> Result<ExitCode> {
     let settings = Settings {
         sequence: a.recording.sequence.clone(),
         sensors: a.recording.sensors.clone(),
+        channels: a.recording.channel_map()?,
         grid: sim_worker::catalogue::grid(&a.grid)?,
         ..Settings::of_actuator(Arc::new(unit.actuator.clone()))?
     };

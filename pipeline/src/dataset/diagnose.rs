@@ -12,7 +12,7 @@ use diagnoser::failure_map::FailureMapSet;
 use schemas::error::Error;
 use schemas::fault::{FaultState, Interval};
 use schemas::feature::{Features, RawFeatures};
-use schemas::recording::table_bytes;
+use schemas::table::table_bytes;
 use sim_worker::dataset::parts::Kind;
 use sim_worker::dataset::wear::WornTest;
 use sim_worker::spread::{Cause, Spread};

@@ -8,7 +8,7 @@ use arrow::datatypes::{DataType, Field, Schema};
 use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
 use schemas::error::Error;
 use schemas::feature::{Feature, RawFeatures};
-use schemas::recording::table_bytes;
+use schemas::table::table_bytes;
 use schemas::test_kind::REST_ANGLE_TOLERANCE_RAD;
 use sim_worker::dataset::plan::SOURCE;
 use sim_worker::noise::FeatureValues;

@@ -9,7 +9,7 @@ use arrow::datatypes::{DataType, Float64Type, TimeUnit};
 use csv::StringRecord;
 use diagnoser::prognosis::{Ended, Happening};
 use schemas::error::Error;
-use schemas::recording::read_table;
+use schemas::table::read_table;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

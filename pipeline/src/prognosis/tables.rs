@@ -9,7 +9,7 @@ use diagnoser::prognosis::forecast::quantile;
 use diagnoser::prognosis::history::Ends;
 use diagnoser::prognosis::law::Family;
 use diagnoser::prognosis::{Outlook, Status};
-use schemas::recording::write_table;
+use schemas::table::write_table;
 use std::path::Path;
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! `BENCH.toml`: what was measured, on which rig, and how far each is trusted.
 
 use crate::measured::own;
-use crate::measured::units::Quantity;
+use ema_tables::units::Quantity;
 use schemas::error::{Error, Result};
 use schemas::toml_section::{self, Section};
 use sim_worker::parameters::ActuatorParameters;
@@ -117,6 +117,12 @@ pub struct ChannelSpec {
     pub minus: Option<String>,
     /// to SI at the motor
     pub factor: f64,
+    /// the part of that which is the unit's
+    pub unit_factor: f64,
+    /// unit of the column, where the bench says it
+    pub unit: Option<String>,
+    /// metres in a radian of the motor, of a linear rig
+    pub lead: Option<f64>,
     /// mean over the sample that ends at the time stamp, rather than the value at it
     pub mean: bool,
     /// further delay [s]
@@ -653,16 +659,21 @@ fn controller(c: &mut Section, lead: Option<f64>) -> Result<ControllerLaw> {
 fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) -> Result<ChannelSpec> {
     let column = t.text("column", "the name of a column")?;
     let q = channel.quantity();
-    let unit = t.text_or("unit", q.si())?;
-    let factor = q.factor(&unit, rig.lead);
-    let factor = factor.map_err(|a| t.bad("unit", format!("`{unit}`"), format!("one of {a}")))?;
+    let said = if t.has("unit") {
+        Some(t.text_or("unit", q.si())?)
+    } else {
+        None
+    };
+    let unit = said.clone().unwrap_or(q.si().into());
+    let unit_factor = q.factor(&unit, rig.lead);
+    let unit_factor = unit_factor.map_err(|a| t.bad("unit", format!("`{unit}`"), format!("one of {a}")))?;
     let scale = t.number_or("scale", 1.0, |x| x != 0.0, "a finite number other than 0")?;
     // command and user position are the user's: brought to the motor
     let gear = match channel {
         BenchChannel::Command | BenchChannel::UserPosition if !rig.linear => rig.gear_ratio,
         _ => 1.0,
     };
-    let factor = factor * scale * gear;
+    let factor = unit_factor * scale * gear;
     let drive = matches!(
         channel,
         BenchChannel::Current
@@ -706,6 +717,9 @@ fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) -> Result<Cha
         column,
         minus,
         factor,
+        unit_factor,
+        unit: said,
+        lead: rig.lead,
         mean,
         delay_s,
         resolution,

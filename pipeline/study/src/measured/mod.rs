@@ -3,5 +3,3 @@ pub mod check;
 pub mod filter;
 pub mod own;
 pub mod recording;
-pub mod table;
-pub mod units;

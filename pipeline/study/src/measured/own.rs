@@ -1,6 +1,6 @@
 //! Recordings of the project's own telemetry as benches: which column is which channel, which piece finds and which proves.
 
-use crate::measured::table::{Column, Table};
+use ema_tables::Table;
 use schemas::error::{Error, Result};
 use schemas::toml_section::{self, Section};
 use sim_worker::catalogue;
@@ -13,26 +13,26 @@ use std::path::{Path, PathBuf};
 const PIECE_S: f64 = 0.43;
 const SHORTEST_S: f64 = 5.0;
 
-/// Column, channel, and the rest of its line in `[channels]`. Point-sampled positions, currents as
+/// Column, channel, and the rest of its line in `[channels]`; SI units but where the file states others. Point-sampled positions, currents as
 /// means, as the telemetry of a test bench is.
 const CHANNELS: [(&str, &str, &str); 15] = [
-    ("com", "command", "unit = \"rad\""),
-    ("theta_m", "position", "unit = \"rad\""),
-    ("omega_m", "velocity", "unit = \"rad/s\""),
-    ("i_q", "current", "unit = \"A\", sampling = \"mean\""),
-    ("torque_m", "torque", "unit = \"N m\", sampling = \"mean\""),
-    ("theta_u", "user_position", "unit = \"rad\""),
-    ("temperature", "temperature", "unit = \"degC\""),
-    ("v", "voltage", "unit = \"V\", sampling = \"mean\""),
-    ("load", "load", "unit = \"N m\""),
+    ("com", "command", ""),
+    ("theta_m", "position", ""),
+    ("omega_m", "velocity", ""),
+    ("i_q", "current", ", sampling = \"mean\""),
+    ("torque_m", "torque", ", sampling = \"mean\""),
+    ("theta_u", "user_position", ""),
+    ("temperature", "temperature", ""),
+    ("v", "voltage", ", sampling = \"mean\""),
+    ("load", "load", ""),
     ("i_a", "i_a", PHASE),
     ("i_b", "i_b", PHASE),
     ("i_c", "i_c", PHASE),
-    ("v_a", "v_a", "unit = \"V\", sampling = \"mean\""),
-    ("v_b", "v_b", "unit = \"V\", sampling = \"mean\""),
-    ("v_c", "v_c", "unit = \"V\", sampling = \"mean\""),
+    ("v_a", "v_a", ", sampling = \"mean\""),
+    ("v_b", "v_b", ", sampling = \"mean\""),
+    ("v_c", "v_c", ", sampling = \"mean\""),
 ];
-const PHASE: &str = "unit = \"A\", sampling = \"mean\", offset = 0.0115";
+const PHASE: &str = ", sampling = \"mean\", offset = 0.0115";
 
 /// The bench that recordings of telemetry are. Of a long one, every third piece proves what the others found; of
 /// short ones, every third.
@@ -93,7 +93,7 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters) -> Result<Section
 
 /// Its columns, duration of a run [s], and the runs' numbers (`None` where there is one).
 fn columns(path: &Path) -> Result<(Table, f64, Vec<Option<u64>>)> {
-    let t = Table::read(path)?.with_q_current();
+    let t = with_q_current(Table::read(path)?);
     if !t.names.iter().any(|n| n == "i_q") {
         let allowed = "a column i_q, or theta_m with i_a, i_b, i_c";
         return Err(Error::bad(&t.file, "header", t.names.join(","), allowed));
@@ -118,7 +118,7 @@ fn columns(path: &Path) -> Result<(Table, f64, Vec<Option<u64>>)> {
 fn channels(table: &Table) -> Result<String> {
     let sensors = catalogue::sensors("reference")?.filter(|s| is_seen(table, s));
     let names = &table.names;
-    let mut text = String::from("time = { column = \"t\", unit = \"s\" }\n");
+    let mut text = String::from("time = { column = \"t\" }\n");
     let has = |n: &str| names.iter().any(|x| x == n);
     for (column, channel, rest) in CHANNELS {
         let duplicate = channel == "torque"
@@ -140,11 +140,11 @@ fn channels(table: &Table) -> Result<String> {
                 ("v_a" | "v_b" | "v_c", Some(_)) => ", noise = 0.02".into(),
                 _ => String::new(),
             };
-            text += &format!("{channel} = {{ column = \"{column}\", {rest}{noise} }}\n");
+            text += &format!("{channel} = {{ column = \"{column}\"{rest}{noise} }}\n");
         }
     }
     if has("v_dc") && has("v_a") {
-        text += "v_dc = { column = \"v_dc\", unit = \"V\", sampling = \"mean\" }\n";
+        text += "v_dc = { column = \"v_dc\", sampling = \"mean\" }\n";
     }
     Ok(text)
 }
@@ -178,32 +178,17 @@ fn follows(t: &Table) -> bool {
     left < 1e-12 * uu
 }
 
-impl Table {
-    /// With the columns that follow from others: `t` from `t_ns`, and `i_q` from the phase currents, half
-    /// the sum of them times their normalised back-EMF shapes at the measured angle (two pole pairs).
-    pub fn with_q_current(mut self) -> Self {
-        let get = |t: &Self, name: &str| t.numbers(name).ok().map(<[f64]>::to_vec);
-        if get(&self, "t").is_none()
-            && let Some(ns) = get(&self, "t_ns")
-        {
-            self.names.push("t".into());
-            self.columns
-                .push(Column::Numbers(ns.iter().map(|x| x * 1e-9).collect()));
-        }
-        if get(&self, "i_q").is_none()
-            && let (Some(theta), Some(a), Some(b), Some(c)) = (
-                get(&self, "theta_m"),
-                get(&self, "i_a"),
-                get(&self, "i_b"),
-                get(&self, "i_c"),
-            )
-        {
-            let shape = |k: usize, q: f64| sim_worker::effect::shape(2.0 * theta[k] - std::f64::consts::TAU / 3.0 * q);
-            let iq =
-                (0..theta.len()).map(|k| 0.5 * (a[k] * shape(k, 0.0) + b[k] * shape(k, 1.0) + c[k] * shape(k, 2.0)));
-            self.columns.push(Column::Numbers(iq.collect()));
-            self.names.push("i_q".into());
-        }
-        self
+/// With the column that follows from others: `i_q` from the phase currents, half the sum of them times their normalised
+/// back-EMF shapes at the measured angle (two pole pairs).
+pub(crate) fn with_q_current(mut table: Table) -> Table {
+    let get = |name: &str| table.numbers(name).ok();
+    if get("i_q").is_none()
+        && let (Some(theta), Some(a), Some(b), Some(c)) = (get("theta_m"), get("i_a"), get("i_b"), get("i_c"))
+    {
+        let shape = |k: usize, q: f64| sim_worker::effect::shape(2.0 * theta[k] - std::f64::consts::TAU / 3.0 * q);
+        let iq = (0..theta.len()).map(|k| 0.5 * (a[k] * shape(k, 0.0) + b[k] * shape(k, 1.0) + c[k] * shape(k, 2.0)));
+        let iq = iq.collect();
+        table.push("i_q", iq);
     }
+    table
 }

@@ -2,7 +2,8 @@
 //! for the usual mistakes before anything is fitted.
 
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Noise, Role, RunSpec};
-use crate::measured::table::Table;
+use crate::measured::own::with_q_current;
+use ema_tables::Table;
 use schemas::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -106,7 +107,7 @@ pub fn read_runs(bench: &Bench) -> Result<Vec<Run>> {
     let mut runs = Vec::new();
     for spec in &bench.runs {
         if !tables.contains_key(&spec.file) {
-            tables.insert(spec.file.clone(), Table::read(&spec.file)?.with_q_current());
+            tables.insert(spec.file.clone(), with_q_current(Table::read(&spec.file)?));
         }
         let table = &tables[&spec.file];
         if spec.steady {
@@ -241,11 +242,41 @@ pub(crate) fn split(table: &Table, spec: &RunSpec) -> Result<Vec<(Labels, Vec<us
     Ok(groups)
 }
 
+/// A column of a channel, and its factor to SI at the motor. A unit that the file states itself is obeyed.
+fn column<'a>(table: &'a Table, c: &ChannelSpec, name: &str) -> Result<(&'a [f64], f64)> {
+    let values = table.numbers(name)?;
+    let stated = table.stated(name);
+    let factor = match (stated, &c.unit) {
+        (Some(stated), Some(unit)) if stated != unit => {
+            let place = format!("column `{name}`, unit of the bench file");
+            let allowed = format!("`{stated}`, as the file itself says, or nothing");
+            return Err(Error::bad(&table.file, place, format!("`{unit}`"), allowed));
+        }
+        (Some(_), _) => c.factor / c.unit_factor,
+        (None, Some(_)) => c.factor,
+        (None, None) => {
+            let in_header = ema_tables::unit_of(name);
+            let known = in_header.and_then(|u| c.channel.quantity().factor(u, c.lead).ok());
+            known.map_or(c.factor, |f| c.factor / c.unit_factor * f)
+        }
+    };
+    Ok((values, factor))
+}
+
 /// A channel in the rows of a run, less the column that is to be taken off, SI at the motor.
 pub(crate) fn in_si(table: &Table, c: &ChannelSpec, rows: &[usize]) -> Result<Vec<f64>> {
-    let x = table.numbers(&c.column)?;
-    let minus = c.minus.as_ref().map(|m| table.numbers(m)).transpose()?;
-    let value = |&r: &usize| (x[r] - minus.map_or(0.0, |m| m[r])) * c.factor;
+    let (x, factor) = column(table, c, &c.column)?;
+    let Some(minus) = &c.minus else {
+        return Ok(rows.iter().map(|&r| x[r] * factor).collect());
+    };
+    let (m, of_minus) = column(table, c, minus)?;
+    let value = |&r: &usize| {
+        if factor == of_minus {
+            (x[r] - m[r]) * factor
+        } else {
+            x[r] * factor - m[r] * of_minus
+        }
+    };
     Ok(rows.iter().map(value).collect())
 }
 
@@ -261,11 +292,11 @@ fn run(
     let bad = |place: String, found: String, allowed: &str| Error::bad(&table.file, place, found, allowed);
     let time_spec = bench.channel(BenchChannel::Time);
     let time_spec = time_spec.ok_or_else(|| bad("channels".into(), "no time".into(), "a channel `time`"))?;
-    let column = table.numbers(&time_spec.column)?;
+    let (column, to_s) = column(table, time_spec, &time_spec.column)?;
     let mut rows = rows.to_vec();
     if let Some((from, to)) = spec.window_s {
         rows.retain(|&r| {
-            let t = column[r] * time_spec.factor;
+            let t = column[r] * to_s;
             t >= from && t <= to
         });
     }
@@ -278,7 +309,7 @@ fn run(
             &format!("at least {fewest} rows in the window"),
         ));
     }
-    let time: Vec<f64> = rows.iter().map(|&r| column[r] * time_spec.factor).collect();
+    let time: Vec<f64> = rows.iter().map(|&r| column[r] * to_s).collect();
     let n = time.len();
     let clock = |k: usize| format!("column `{}`, row {}", time_spec.column, rows[k] + 1);
     if let Some(k) = time.iter().position(|t| !t.is_finite()) {

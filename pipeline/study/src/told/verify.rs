@@ -2,8 +2,9 @@
 //! parameters as they were (parent) and with what a study found (child), beside what was measured.
 
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role, RunSpec};
+use crate::measured::own::with_q_current;
 use crate::measured::recording::{in_si, split};
-use crate::measured::table::Table;
+use ema_tables::Table;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::Result;
 use schemas::fault::FaultState;
@@ -136,7 +137,7 @@ pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParame
         }
         let file = &group[0].file;
         if !tables.contains_key(file) {
-            tables.insert(file, Table::read(file)?.with_q_current());
+            tables.insert(file, with_q_current(Table::read(file)?));
         }
         let recorded = match recorded(bench, &group, judged, &tables[file])? {
             Ok(r) => r,
