@@ -319,6 +319,12 @@ fn coverage(case: &Case) -> String {
             } else {
                 format!("of units of spread `{}`", c.spread)
             };
+            if crate::map_table::is_of_table(&case.diagnoser.maps.header) {
+                return format!(
+                    "coverage  {percent:.1} %, calibrated on {} rows of the table that made the maps",
+                    c.runs
+                );
+            }
             format!(
                 "coverage  {percent:.1} %, calibrated on {} simulated tests {of}",
                 c.runs

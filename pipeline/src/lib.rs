@@ -60,6 +60,7 @@ pub mod demo;
 pub mod discrepancy;
 pub mod input;
 pub mod interruptible;
+pub mod map_table;
 pub mod maps;
 pub(crate) mod output;
 pub mod prognosis;

@@ -52,6 +52,11 @@ pub fn calibrate(a: &CalibrateArgs) -> Result<ExitCode> {
     };
     let choice = Choice::new(sim_worker::catalogue::spread(&a.spread)?, a.coverage)?;
     let set = FailureMapSet::load(&file)?;
+    if crate::map_table::is_of_table(&set.header) {
+        let found = "maps of another simulator's table";
+        let allowed = "maps of our test bench, whose tests calibrate them; rows off the grid of the table calibrate these (ema maps TABLE)";
+        return Err(Error::bad(file.display().to_string(), "maps", found, allowed).into());
+    }
     let sequence = sim_worker::catalogue::sequence(a.sequence.as_deref().unwrap_or(&set.header.sequence))?;
     let usual = if set.header.kind.sensors == "none" {
         "none"

@@ -2,12 +2,14 @@
 
 use super::{ActuatorArg, RecordingArgs, say};
 use crate::case::{self, Case, Settings};
+use crate::map_table;
 use crate::refine::{self, Refined, Start, Test};
 use crate::report::{self, Report, Section};
 use crate::report_pages;
 use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::{Outcome, parse_known};
+use diagnoser::failure_map::FailureMapSet;
 use diagnoser::map_library::Choice;
 use diagnoser::unit::{BASELINES, UnitFile};
 use schemas::error::EXIT_LOSS;
@@ -31,6 +33,9 @@ pub struct DiagnoseArgs {
     /// Folder (or file) of saved maps; those of the actuator, made on first use, if left out
     #[arg(long)]
     maps: Option<PathBuf>,
+    /// FILE holds features, a row each test, in the columns of schemas/README.md; a diagnosis each
+    #[arg(long, requires = "maps", conflicts_with_all = ["refine", "unit", "plot", "run"])]
+    features: bool,
     /// Keys for programs
     #[arg(long)]
     json: bool,
@@ -187,6 +192,52 @@ pub(super) fn quoted(path: &std::path::Path) -> String {
     }
 }
 
+/// Diagnoses a table of features, a line a row.
+fn of_features(a: &DiagnoseArgs, choice: &Choice) -> Result<ExitCode> {
+    let maps = a.maps.as_deref().unwrap_or(Path::new("."));
+    let file = if maps.is_dir() {
+        maps.join("maps.parquet")
+    } else {
+        maps.into()
+    };
+    let set = FailureMapSet::load(&file)?;
+    let actuator = a.actuator.read()?;
+    let known = parse_known(&a.known, &actuator, set.header.kind.rest_angle_rad)?;
+    let diagnoser = choice.ready(&file, set, &known)?;
+    let mut all = true;
+    for row in map_table::diagnose(&a.file, &diagnoser)? {
+        let d = match a.method {
+            Method::Joint => row.diagnosis,
+            Method::Paper => diagnoser::paper::diagnose(&diagnoser, &row.diagnosis.features, &[]),
+        };
+        all &= !matches!(d.outcome, Outcome::Incomplete { .. });
+        if a.json {
+            let mut json = diagnoser::report::to_json(&d);
+            json["row"] = row.place.into();
+            json["truth"] = row
+                .fault
+                .map(|f| serde_json::json!({"fsj": f.fsj, "zeta": f.zeta}))
+                .into();
+            say(&json.to_string());
+            continue;
+        }
+        let area = d.outcome.area().map(|x| {
+            format!(
+                "  FSJ {:.4} .. {:.4}  zeta {:.5} .. {:.5}",
+                x.fsj.lo, x.fsj.hi, x.zeta.lo, x.zeta.hi
+            )
+        });
+        let truth = row.fault.map(|f| format!("  (said: {}, {})", f.fsj, f.zeta));
+        let (area, truth) = (area.unwrap_or_default(), truth.unwrap_or_default());
+        say(&format!("{:<9} {:<12}{area}{truth}", row.place, d.outcome.name()));
+    }
+    Ok(if all {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(EXIT_LOSS)
+    })
+}
+
 pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     let actuator = a.actuator.named()?;
     let spread = if a.spread == "own" {
@@ -195,6 +246,9 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         sim_worker::catalogue::spread(&a.spread)?
     };
     let choice = Choice::new(spread, a.coverage)?;
+    if a.features {
+        return of_features(a, &choice);
+    }
     let settings = Settings {
         actuator,
         maps: a.maps.clone(),

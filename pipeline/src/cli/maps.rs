@@ -1,8 +1,10 @@
 //! `ema maps`, which is `ema dataset maps`.
 
-use super::say;
+use super::{RecordingArgs, say};
+use crate::case::Settings;
 use crate::dataset::Dataset;
 use crate::dataset::maps::{Chosen, MAPS, files, table};
+use crate::map_table::{self, FeatureKind};
 use anyhow::Result;
 use clap::Args;
 use diagnoser::calibration::COVERAGE;
@@ -10,20 +12,31 @@ use diagnoser::failure_map::FailureMapSet;
 use diagnoser::map_library::Choice;
 use diagnoser::quality::MapQuality;
 use schemas::error::{EXIT_LOSS, Error};
+use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 #[derive(Args)]
 pub struct MapsArgs {
-    /// Dataset (ema simulate, ema dataset make): a folder, or s3://BUCKET/PREFIX
+    /// Dataset (ema simulate, ema dataset make): a folder, or s3://BUCKET/PREFIX. Or a table (CSV, Parquet, Arrow IPC) of any
+    /// simulator or rig, with columns fsj, zeta and file (a recording each) or features (schemas/README.md): its full grid
+    /// of faults makes the maps, repeats there their noise, and rows off the grid, 40 or more, calibrate them
     dataset: String,
-    /// Only the maps of this actuator of a fleet, as files into --out
-    #[arg(long, value_name = "ID")]
+    /// Only the maps of this actuator of a fleet, as files into --out. Of a table: the parameter file whose constants features
+    /// are formed with
+    #[arg(long, value_name = "ID or FILE")]
     actuator: Option<String>,
     /// Folder (or .parquet file) for the maps of one actuator; the dataset's own if left out and there is one
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Which of the dataset's rest angles [deg]
+    /// Rate of the telemetry that a table's features are of [Hz]; recordings say their own
+    #[arg(long, default_value_t = 10_000.0)]
+    rate: f64,
+    /// Of a table's recordings or features
+    #[command(flatten)]
+    recording: RecordingArgs,
+    /// Which of the dataset's rest angles [deg]; that of a table's features
     #[arg(long, allow_negative_numbers = true)]
     rest_angle_deg: Option<f64>,
     /// Leave out a feature whose surface is not monotone enough instead of refusing (a fleet's are always left out)
@@ -41,7 +54,65 @@ pub struct MapsArgs {
     json: bool,
 }
 
+/// Maps of a table, and their calibration.
+fn of_table(a: &MapsArgs) -> Result<ExitCode> {
+    let path = Path::new(&a.dataset);
+    let out = a.out.clone().ok_or_else(|| {
+        let allowed = "a folder for the maps of a table";
+        Error::bad("command line", "--out", "nothing", allowed)
+    })?;
+    let actuator = match &a.actuator {
+        Some(file) => ActuatorParameters::read(Path::new(file))?,
+        None => ActuatorParameters::reference(),
+    };
+    let settings = Settings {
+        sequence: a.recording.sequence.clone(),
+        sensors: a.recording.sensors.clone(),
+        channels: a.recording.channel_map()?,
+        ..Settings::of_actuator(Arc::new(actuator))?
+    };
+    let kind = FeatureKind {
+        rate_hz: a.rate,
+        rest_angle_rad: a.rest_angle_deg.unwrap_or(0.0).to_radians(),
+    };
+    let made = map_table::make(path, &settings, &kind, a.lenient)?;
+    let file = if out.extension().is_some_and(|x| x == "parquet") {
+        out
+    } else {
+        out.join("maps.parquet")
+    };
+    let dir = file.parent().unwrap_or(Path::new(""));
+    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
+    made.set.save(&file)?;
+    let calibration = Choice::usual().calibration_file(&file);
+    match &made.calibration {
+        Some(c) => c.save(&calibration)?,
+        // what stands there belongs to other maps
+        None if calibration.exists() => {
+            std::fs::remove_file(&calibration).map_err(|e| Error::io(&calibration, "cannot be removed", e))?;
+        }
+        None => {}
+    }
+    say(&summary(&made.set));
+    say(&format!("{} rows on the grid, {} off it", made.rows.0, made.rows.1));
+    match &made.calibration {
+        Some(c) => say(&format!("calibrated on {} of the rows off the grid", c.runs)),
+        None => say(&format!(
+            "not calibrated: intervals are a design figure; {} rows with all features off the grid calibrate them",
+            map_table::FEWEST_TESTS
+        )),
+    }
+    if !made.has_noise {
+        say("no repeats and no standard deviations: the maps know no noise of sensors; only the calibration does");
+    }
+    say(&format!("saved {}", file.display()));
+    Ok(ExitCode::SUCCESS)
+}
+
 pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
+    if Path::new(&a.dataset).is_file() {
+        return of_table(a);
+    }
     let d = Dataset::open(&a.dataset)?;
     let alone = d.plan.actuators.len() == 1;
     if !alone && a.actuator.is_none() {
