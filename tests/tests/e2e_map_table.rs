@@ -133,7 +133,7 @@ fn e2e_features_of_another_simulator_become_maps_and_are_diagnosed() {
     let toml = dir.path().join("grid.toml");
     std::fs::write(
         &toml,
-        "fsj = [1.0, 2.0, 3.0, 4.0, 5.0]\nzeta = [0.0, 0.125, 0.25, 0.375, 0.5]\n",
+        "name = \"coarse\"\nfsj = [1.0, 2.0, 3.0, 4.0, 5.0]\nzeta = [0.0, 0.125, 0.25, 0.375, 0.5]\n",
     )
     .unwrap();
     ok(&[&sim[..], &[text(&toml), "--out", text(&grid)]].concat());

@@ -3,7 +3,7 @@
 use ema_tests::mutation::changed;
 use parquet::file::metadata::{ColumnChunkMetaData, ParquetMetaData, ParquetMetaDataReader};
 use parquet::file::metadata::{ParquetMetaDataWriter, RowGroupMetaData};
-use pipeline::input::open;
+use pipeline::input::{How, open};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use schemas::channel::{Channel, ChannelSet};
@@ -102,7 +102,7 @@ const GIB: u64 = 1 << 30;
 
 #[track_caller]
 fn refused(path: &Path, words: &[&str]) {
-    let line = format!("{:#}", open(path, None).err().expect("refused"));
+    let line = format!("{:#}", open(path, How::default()).err().expect("refused"));
     assert!(!line.contains('\n') && line.len() < 400, "{line}");
     for w in words {
         assert!(line.contains(w), "no `{w}` in: {line}");
@@ -114,7 +114,7 @@ fn refuse_footers_that_declare_more_than_the_file_holds() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("lying.parquet");
     lying(&file, |m| m);
-    open(&file, None).expect("nothing was changed");
+    open(&file, How::default()).expect("nothing was changed");
     const MANY: i64 = 1_000_000_000_000;
     let huge = 1i64 << 60;
     lying(&file, |m| {
@@ -200,7 +200,7 @@ fn refuse_a_csv_of_many_columns_in_one_short_line() {
     let head = format!("t,com,theta_m,omega_m,i_eq,{}\n", names[..20_000].join(","));
     let row = |i: usize| format!("{},0,0,0,0{}\n", i as f64 * 1e-3, ",1".repeat(20_000));
     std::fs::write(&file, head + &(1..20).map(row).collect::<String>()).unwrap();
-    assert_eq!(open(&file, None).unwrap().telemetry.rows(), 19);
+    assert_eq!(open(&file, How::default()).unwrap().telemetry.rows(), 19);
 }
 
 /// Mutations of each sort of file: `EMA_MUTATIONS`, or few enough for every day.
@@ -225,12 +225,12 @@ fn prop_damaged_files_are_read_or_refused_in_one_line() {
     for (k, (name, bytes)) in kinds.iter().enumerate() {
         let file = dir.path().join(name);
         std::fs::write(&file, bytes).unwrap();
-        open(&file, None).expect(name);
+        open(&file, How::default()).expect(name);
         for seed in 0..mutations() {
             let mut rng = ChaCha8Rng::seed_from_u64(seed + ((k as u64) << 32));
             std::fs::write(&file, changed(&mut rng, bytes)).unwrap();
             let start = Instant::now();
-            let done = catch_unwind(AssertUnwindSafe(|| open(&file, None).map(|_| ())));
+            let done = catch_unwind(AssertUnwindSafe(|| open(&file, How::default()).map(|_| ())));
             slowest = slowest.max(start.elapsed());
             let done = done.unwrap_or_else(|_| panic!("{name}, seed {seed}: a panic"));
             counts[done.is_err() as usize] += 1;

@@ -6,6 +6,7 @@ use crate::table::{Column, Places};
 use crate::units;
 use arrow::compute::kernels::cast_utils::string_to_timestamp_nanos;
 use schemas::error::{Error, Result};
+use std::collections::HashSet;
 use std::path::Path;
 
 /// Marks that begin a comment before the header; after it, `#` alone.
@@ -39,7 +40,8 @@ pub(crate) fn read(path: &Path, text: &str) -> Result<Raw> {
     if trailing {
         names.pop();
     }
-    if let Some((i, n)) = names.iter().enumerate().find(|(i, n)| names[..*i].contains(n)) {
+    let mut seen = HashSet::new();
+    if let Some((i, n)) = names.iter().enumerate().find(|(_, n)| !seen.insert(n.as_str())) {
         let place = format!("header, column {}", i + 1);
         return Err(Error::bad(file, place, format!("`{n}` again"), "each column once"));
     }

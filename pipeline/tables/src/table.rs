@@ -71,7 +71,8 @@ impl Table {
             Content::Text(text) => dialect::read(path, &text)?,
         };
         if raw.rows == 0 {
-            let why = "no rows of data; allowed: a header and at least one row";
+            let header = listed(&raw.names);
+            let why = format!("no rows of data under the header {header}; allowed: at least one row");
             return Err(Error::torn(path, why));
         }
         let mut table = Self {
@@ -220,7 +221,9 @@ impl Table {
             let is_renamed = header::plain(header::split(&m.from).0) != m.name;
             let unit = m.unit.as_ref().filter(|_| is_converted);
             let unit = unit.map_or(String::new(), |u| format!(" in {u}"));
-            (is_converted || is_renamed).then(|| format!("{} from `{}`{unit}", m.name, m.from))
+            // as our own files have it
+            let is_usual = m.from == "t_ns";
+            (!is_usual && (is_converted || is_renamed)).then(|| format!("{} from `{}`{unit}", m.name, m.from))
         };
         self.made.iter().filter_map(words).collect()
     }
