@@ -93,6 +93,8 @@ pub fn fmu(actuator: &ActuatorParameters, library: &Path) -> Result<Vec<u8>> {
             "linux, windows, macos on x86_64: those of FMI 2.0",
         )
     })?;
+    // a bare name would be looked for in the system's folders
+    let library = &std::fs::canonicalize(library).map_err(|e| Error::io(library, "cannot be read", e))?;
     let mut all = files(library, actuator)?;
     let (_, id) = all.remove(0);
     let id = String::from_utf8_lossy(&id).into_owned();
