@@ -24,7 +24,8 @@ fn fmu() -> &'static (PathBuf, PathBuf) {
     ONCE.get_or_init(|| {
         let root = Path::new(env!("CARGO_TARGET_TMPDIR"));
         let (file, dir) = (root.join("reference.fmu"), root.join("reference.fmu.d"));
-        let args = ["export", "fmu", "--library", text(&library()), "--out", text(&file)];
+        let own = library();
+        let args = ["export", "fmu", "--library", text(&own), "--out", text(&file)];
         assert!(ok(&args).contains("actuator reference, FMI 2.0 co-simulation"));
         let bytes = std::fs::read(&file).unwrap();
         ok(&args);
