@@ -58,6 +58,7 @@ pub mod cli;
 pub mod dataset;
 pub mod demo;
 pub mod discrepancy;
+pub mod export;
 pub mod input;
 pub mod interruptible;
 pub mod map_table;

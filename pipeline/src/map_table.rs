@@ -242,7 +242,7 @@ fn faults(table: &Table) -> Result<Vec<FaultState>> {
 /// A table that cannot be read, faults that are none, no full grid of them, recordings of different tests, and what
 /// [`of_grid`] refuses.
 pub fn make(path: &Path, settings: &Settings, kind: &FeatureKind, lenient: bool) -> Result<MapTable> {
-    let table = Table::read(path)?;
+    let table = Table::filled(path)?;
     let faults = faults(&table)?;
     let (measured, setup) = if table.names.iter().any(|n| n == "file") {
         let (raw, setup) = of_recordings(&table, &files(path, &table)?, settings)?;
@@ -340,7 +340,7 @@ pub struct DiagnosedRow {
 /// # Errors
 /// A table that cannot be read, or without any column of a feature.
 pub fn diagnose(path: &Path, diagnoser: &Diagnoser) -> Result<Vec<DiagnosedRow>> {
-    let table = Table::read(path)?;
+    let table = Table::filled(path)?;
     let has_faults = ["fsj", "zeta"].iter().all(|f| table.names.iter().any(|n| n == f));
     let faults = has_faults.then(|| faults(&table)).transpose()?;
     let rows = features(&table)?.into_iter().enumerate();

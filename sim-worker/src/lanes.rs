@@ -41,6 +41,12 @@ macro_rules! lane_struct {
         impl<const N: usize> Default for $name<N> {
             fn default() -> Self { Self { $($field: [0.0; N]),+ } }
         }
+        impl<const N: usize> $name<N> {
+            /// Shows every number to `see`, which may change it; always in the same order.
+            pub fn each(&mut self, see: &mut dyn FnMut(&mut f64)) {
+                $(self.$field.iter_mut().for_each(&mut *see);)+
+            }
+        }
     };
 }
 

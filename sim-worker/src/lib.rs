@@ -39,6 +39,7 @@ pub mod command;
 pub mod control;
 #[cfg(feature = "dataset")]
 pub mod dataset;
+pub mod driven;
 pub mod effect;
 pub mod exponential;
 pub mod extractor;
@@ -62,6 +63,7 @@ pub mod witness;
 
 #[cfg(feature = "dataset")]
 pub use dataset::plan::DatasetPlan;
+pub use driven::DrivenBench;
 pub use extractor::FeatureExtractor;
 pub use parameters::ActuatorParameters;
 pub use sensor::SensorModel;

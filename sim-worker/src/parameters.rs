@@ -308,6 +308,23 @@ pub const PARAMETERS: [(&str, &str, &str); VARYING.len()] = {
     all
 };
 
+/// Unit of a parameter, as in files.
+///
+/// * `parameter` its place in [`PARAMETERS`]
+pub fn unit(parameter: usize) -> &'static str {
+    ALL[VARYING[parameter]].unit
+}
+
+/// Least and greatest value that a parameter may have by itself; a least value of 0 may be excluded.
+///
+/// * `parameter` its place in [`PARAMETERS`]
+pub fn range(parameter: usize) -> (f64, f64) {
+    match ALL[VARYING[parameter]].bound {
+        Bound::Temperature => (-100.0, 300.0),
+        _ => (0.0, most(parameter)),
+    }
+}
+
 /// Greatest value that a draw of a parameter may have: a share and an efficiency end at one.
 ///
 /// * `parameter` its place in [`PARAMETERS`]

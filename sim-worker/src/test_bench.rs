@@ -22,6 +22,7 @@ pub struct Lane {
 }
 
 /// One over the kernel's units, for sampling.
+#[derive(Clone)]
 struct Inverse<const N: usize> {
     ampere: [f64; N],
     half_ampere: [f64; N],
@@ -31,6 +32,7 @@ struct Inverse<const N: usize> {
 }
 
 /// Numerical test bench of N lanes. All start at rest: position and currents 0, relays at +1.
+#[derive(Clone)]
 pub struct NumericalTestBench<const N: usize> {
     set: InstructionSet,
     constants: Constants<N>,
@@ -209,6 +211,44 @@ impl<const N: usize> NumericalTestBench<N> {
             Channel::ISupply => mean(&sum.supply, &u.ampere),
             Channel::VDc => std::array::from_fn(|l| self.supply_voltage_v[l] - self.effects.sag(l)),
         }
+    }
+
+    /// Another load torque for lane `l`, from the next step on.
+    ///
+    /// * `load_n_m` positive against positive motion [N m, motor side]
+    pub fn set_load(&mut self, l: usize, load_n_m: f64) {
+        self.constants.load[l] = self.effects.set_load(l, load_n_m);
+        self.all_terms |= load_n_m != 0.0;
+        // lanes of one actuator read the load of the first
+        self.same &= N == 1;
+    }
+
+    /// Goes on from where `other` is, a bench of the same actuators at other faults. The angle's vector is started
+    /// anew, since eccentricity enters there.
+    pub(crate) fn go_on_from(&mut self, other: &Self) {
+        self.state = other.state.clone();
+        self.sums = other.sums.clone();
+        (self.step, self.interval) = (other.step, other.interval);
+        self.effects.go_on_from(&other.effects);
+        self.all_terms |= other.all_terms;
+        lanes::resync(self.set, &self.constants, &mut self.state);
+    }
+
+    /// Shows every number that a step changes to `see`, which may put back an earlier one; always in the same order.
+    pub(crate) fn each(&mut self, see: &mut dyn FnMut(&mut f64)) {
+        self.state.each(see);
+        self.sums.each(see);
+        self.effects.each(see);
+        for count in [&mut self.step, &mut self.interval] {
+            let mut x = *count as f64;
+            see(&mut x);
+            *count = x as u64;
+        }
+    }
+
+    /// Steps since the last [`NumericalTestBench::next_interval`].
+    pub(crate) fn interval(&self) -> u64 {
+        self.interval
     }
 
     /// Starts a new telemetry interval.

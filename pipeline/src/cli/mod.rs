@@ -6,6 +6,7 @@ mod dataset;
 mod demo;
 mod diagnose;
 mod discrepancy;
+mod export;
 mod maps;
 mod plot;
 mod prognosis;
@@ -129,6 +130,12 @@ enum Commands {
         s3://BUCKET/PREFIX (credentials from AWS_* environment variables)."
     )]
     Dataset(dataset::DatasetCommand),
+    /// The actuator for other programs: an FMU
+    #[command(
+        subcommand,
+        after_help = "Example: ema export fmu actuator.toml --out actuator.fmu    (ema export fmu --help says what is in it)"
+    )]
+    Export(export::ExportCommand),
     /// SQL and ready questions over a dataset
     // whose options are the other program's: it has the help, too
     #[command(disable_help_flag = true)]
@@ -211,6 +218,7 @@ pub fn main() -> ExitCode {
         Commands::Prognosis(a) => prognosis::prognosis(&a),
         Commands::Plan(a) => dataset::plan(&a),
         Commands::Dataset(a) => dataset::dataset(&a),
+        Commands::Export(a) => export::export(&a),
         Commands::Query(_) => query::query(),
     };
     result.unwrap_or_else(|e| {

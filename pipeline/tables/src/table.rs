@@ -61,8 +61,8 @@ impl Table {
     /// Reads a file: CSV in any dialect, Parquet, Arrow IPC.
     ///
     /// # Errors
-    /// What is none of these, is not whole, has no header or no rows, names a column twice, or states a unit that the
-    /// channel cannot have.
+    /// What is none of these, is not whole, has no header, names a column twice, or states a unit that the channel cannot
+    /// have.
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot be read", e))?;
         let raw = match content(path, &bytes)? {
@@ -70,11 +70,6 @@ impl Table {
             Content::Arrow { is_stream } => columnar::ipc(path, &bytes, is_stream)?,
             Content::Text(text) => dialect::read(path, &text)?,
         };
-        if raw.rows == 0 {
-            let header = listed(&raw.names);
-            let why = format!("no rows of data under the header {header}; allowed: at least one row");
-            return Err(Error::torn(path, why));
-        }
         let mut table = Self {
             file: path.display().to_string(),
             names: raw.names,
@@ -85,6 +80,19 @@ impl Table {
             made: Vec::new(),
         };
         table.make_telemetry(&raw.units)?;
+        Ok(table)
+    }
+
+    /// As [`Table::read`], of a table that has rows.
+    ///
+    /// # Errors
+    /// As [`Table::read`]; no rows.
+    pub fn filled(path: &Path) -> Result<Self> {
+        let table = Self::read(path)?;
+        if table.rows == 0 {
+            let why = "no rows of data; allowed: a header and at least one row";
+            return Err(Error::torn(path, why));
+        }
         Ok(table)
     }
 

@@ -362,6 +362,48 @@ impl<const N: usize> LaneEffects<N> {
         self.lanes.push(own);
     }
 
+    /// Another load torque [N m] in lane `l`; in the kernel's unit.
+    pub fn set_load(&mut self, l: usize, load_n_m: f64) -> f64 {
+        if let Some(mut own) = self.lanes[l].take() {
+            own.signals.load = load_n_m;
+            let of_load = own
+                .friction
+                .iter()
+                .filter(|e| e.kind == EffectKind::LoadDependentFriction);
+            for (before, e) in of_load.enumerate() {
+                self.fill(l, e.kind, before, own.prepared(e));
+            }
+            self.lanes[l] = Some(own);
+        }
+        load_n_m * self.newton_metre[l]
+    }
+
+    /// Takes over what the effects of `other`, of the same actuators, remember.
+    pub fn go_on_from(&mut self, other: &Self) {
+        let mut memory = Vec::new();
+        other.clone().each(&mut |x| memory.push(*x));
+        let mut next = memory.into_iter();
+        self.each(&mut |x| *x = next.next().unwrap_or(*x));
+    }
+
+    /// Shows every number that effects remember from step to step to `see`, which may change it.
+    pub fn each(&mut self, see: &mut dyn FnMut(&mut f64)) {
+        self.felt.supply.iter_mut().for_each(&mut *see);
+        self.felt.th.iter_mut().for_each(&mut *see);
+        for own in self.lanes.iter_mut().flatten() {
+            if let Some(line) = &mut own.delay {
+                line.each(see);
+            }
+            if let Some(b) = &mut own.bristles {
+                see(&mut b.z);
+            }
+            if let Some(b) = &mut own.behind {
+                see(&mut b.angle);
+                see(&mut b.speed);
+            }
+        }
+    }
+
     /// Puts an effect of a lane into its slot.
     fn fill(&mut self, l: usize, kind: EffectKind, before: usize, values: [f64; 3]) {
         let place = self.slots.binary_search_by_key(&(kind, before), |s| (s.kind, s.before));

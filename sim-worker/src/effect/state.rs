@@ -172,6 +172,14 @@ impl DelayLine {
         }
     }
 
+    /// Shows every number that the line remembers to `see`, which may change it.
+    pub fn each(&mut self, see: &mut dyn FnMut(&mut f64)) {
+        self.ring.iter_mut().for_each(&mut *see);
+        let mut at = self.at as f64;
+        see(&mut at);
+        self.at = (at as usize).min(self.ring.len() - 1);
+    }
+
     /// Takes the value of this step, gives the delayed one.
     #[inline]
     pub fn step(&mut self, x: f64) -> f64 {

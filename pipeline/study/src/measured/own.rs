@@ -93,7 +93,7 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters) -> Result<Section
 
 /// Its columns, duration of a run [s], and the runs' numbers (`None` where there is one).
 fn columns(path: &Path) -> Result<(Table, f64, Vec<Option<u64>>)> {
-    let t = with_q_current(Table::read(path)?);
+    let t = with_q_current(Table::filled(path)?);
     if !t.names.iter().any(|n| n == "i_q") {
         let allowed = "a column i_q, or theta_m with i_a, i_b, i_c";
         return Err(Error::bad(&t.file, "header", t.names.join(","), allowed));

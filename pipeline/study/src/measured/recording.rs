@@ -107,7 +107,7 @@ pub fn read_runs(bench: &Bench) -> Result<Vec<Run>> {
     let mut runs = Vec::new();
     for spec in &bench.runs {
         if !tables.contains_key(&spec.file) {
-            tables.insert(spec.file.clone(), with_q_current(Table::read(&spec.file)?));
+            tables.insert(spec.file.clone(), with_q_current(Table::filled(&spec.file)?));
         }
         let table = &tables[&spec.file];
         if spec.steady {

@@ -137,7 +137,7 @@ pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParame
         }
         let file = &group[0].file;
         if !tables.contains_key(file) {
-            tables.insert(file, with_q_current(Table::read(file)?));
+            tables.insert(file, with_q_current(Table::filled(file)?));
         }
         let recorded = match recorded(bench, &group, judged, &tables[file])? {
             Ok(r) => r,

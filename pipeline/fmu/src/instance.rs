@@ -1,0 +1,747 @@
+//! One instance of the FMU: what a master may do when, and what it gets; no C here.
+
+use crate::description::identifier;
+use crate::variables::{INPUTS, Role, Variable, guid, variables};
+use schemas::error::{Error, Result};
+use schemas::fault::FaultState;
+use schemas::sequence::TestSequence;
+use sim_worker::command::CommandTrack;
+use sim_worker::driven::DrivenBench;
+use sim_worker::parameters::ActuatorParameters;
+use sim_worker::test_bench::Lane;
+use std::sync::Arc;
+
+/// Longest communication step [s]: nobody can stop one.
+const LONGEST_S: f64 = 3600.0;
+
+/// Share of a step by which a communication point may miss one and still count as on it.
+const ON_STEP: f64 = 1e-3;
+
+/// Steps whose commands are worked out at once.
+const CHUNK: u64 = 1024;
+
+/// First bytes of a state in bytes; the last is its version.
+const MAGIC: &[u8; 8] = b"EMA-FMU1";
+
+/// Where an instance is in the standard's state machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// made or reset: start values may be set
+    Instantiated,
+    /// between fmi2EnterInitializationMode and fmi2ExitInitializationMode
+    Initializing,
+    /// steps may be made
+    Running,
+    /// after fmi2Terminate: values may be read
+    Terminated,
+    /// a step gave values that are no numbers: values may be read
+    Failed,
+}
+
+impl Phase {
+    const ALL: [Self; 5] = [
+        Self::Instantiated,
+        Self::Initializing,
+        Self::Running,
+        Self::Terminated,
+        Self::Failed,
+    ];
+
+    fn words(self) -> &'static str {
+        match self {
+            Self::Instantiated => "instantiated",
+            Self::Initializing => "initialization mode",
+            Self::Running => "step mode",
+            Self::Terminated => "terminated",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// All that changes in an instance: what fmi2GetFMUstate keeps.
+#[derive(Clone)]
+pub struct Moment {
+    phase: Phase,
+    /// by value reference; those of outputs are not used
+    values: Vec<f64>,
+    /// first and second derivative of each input, for the next step
+    derivatives: [[f64; 2]; INPUTS],
+    start_s: f64,
+    /// infinite where no end is said
+    stop_s: f64,
+    time_s: f64,
+    /// whether it was said that steps are no whole number of the simulator's
+    warned: bool,
+    bench: Option<DrivenBench>,
+}
+
+/// An instance.
+pub struct Instance {
+    actuator: Arc<ActuatorParameters>,
+    variables: Vec<Variable>,
+    sequences: Vec<TestSequence>,
+    now: Moment,
+    commands: Vec<f64>,
+}
+
+/// An input over one communication step.
+#[derive(Clone, Copy)]
+struct Course {
+    value: f64,
+    derivatives: [f64; 2],
+}
+
+impl Course {
+    fn is_held(self) -> bool {
+        self.derivatives == [0.0; 2]
+    }
+
+    /// * `t` since the communication point [s]
+    fn at(self, t: f64) -> f64 {
+        if self.is_held() {
+            self.value
+        } else {
+            self.value + t * (self.derivatives[0] + 0.5 * t * self.derivatives[1])
+        }
+    }
+}
+
+impl Instance {
+    /// An instance with all start values.
+    ///
+    /// * `expected` the guid that the master read in the description
+    ///
+    /// # Errors
+    /// The guid of another actuator or version.
+    pub fn new(actuator: ActuatorParameters, expected: &str) -> Result<Self> {
+        let own = guid(&actuator);
+        if own != expected {
+            let allowed = format!("{own}, of resources/actuator.toml and this library");
+            return Err(Error::bad(identifier(&actuator), "guid", expected, allowed));
+        }
+        let variables = variables(&actuator);
+        let sequences = sim_worker::catalogue::sequence_names().map(sim_worker::catalogue::sequence);
+        Ok(Self {
+            now: Self::first(&variables),
+            sequences: sequences.collect::<Result<_>>()?,
+            variables,
+            actuator: actuator.into(),
+            commands: Vec::new(),
+        })
+    }
+
+    fn first(variables: &[Variable]) -> Moment {
+        Moment {
+            phase: Phase::Instantiated,
+            values: variables.iter().map(|v| v.start).collect(),
+            derivatives: [[0.0; 2]; INPUTS],
+            start_s: 0.0,
+            stop_s: f64::INFINITY,
+            time_s: 0.0,
+            warned: false,
+            bench: None,
+        }
+    }
+
+    /// Where it is in the standard's state machine.
+    pub fn phase(&self) -> Phase {
+        self.now.phase
+    }
+
+    /// Where the last step ended [s].
+    pub fn time_s(&self) -> f64 {
+        self.now.time_s
+    }
+
+    /// A refusal in the project's words.
+    pub fn bad(&self, place: impl Into<String>, found: impl std::fmt::Display, allowed: impl Into<String>) -> Error {
+        Error::bad(identifier(&self.actuator), place, found, allowed)
+    }
+
+    fn expect(&self, call: &str, phases: &[Phase]) -> Result<()> {
+        if phases.contains(&self.now.phase) {
+            return Ok(());
+        }
+        let words: Vec<&str> = phases.iter().map(|p| p.words()).collect();
+        Err(self.bad(call, format!("the state {}", self.now.phase.words()), words.join(", ")))
+    }
+
+    fn variable(&self, reference: u32) -> Result<&Variable> {
+        let most = self.variables.len() - 1;
+        self.variables.get(reference as usize).ok_or_else(|| {
+            self.bad(
+                "value reference",
+                reference,
+                format!("0 to {most}, as in modelDescription.xml"),
+            )
+        })
+    }
+
+    /// As [`Instance::variable`], of the type that the call is for.
+    fn typed(&self, reference: u32, is_real: bool) -> Result<&Variable> {
+        let v = self.variable(reference)?;
+        if v.unit.is_some() == is_real {
+            return Ok(v);
+        }
+        let (found, other) = if is_real {
+            ("an Enumeration", "Integer")
+        } else {
+            ("a Real", "Real")
+        };
+        let allowed = format!("fmi2Get{other}, fmi2Set{other}");
+        Err(self.bad(format!("type of variable `{}`", v.name), found, allowed))
+    }
+
+    /// Start and end of the simulation [s].
+    ///
+    /// # Errors
+    /// Another state, times that are no numbers, an end before the start.
+    pub fn setup(&mut self, start_s: f64, stop_s: Option<f64>) -> Result<()> {
+        self.expect("fmi2SetupExperiment", &[Phase::Instantiated])?;
+        if !start_s.is_finite() {
+            return Err(self.bad("startTime", start_s, "a finite number of seconds"));
+        }
+        if let Some(stop) = stop_s.filter(|s| !(s.is_finite() && *s >= start_s)) {
+            return Err(self.bad(
+                "stopTime",
+                stop,
+                format!("a finite time of at least startTime, {start_s} s"),
+            ));
+        }
+        let now = &mut self.now;
+        (now.start_s, now.time_s, now.stop_s) = (start_s, start_s, stop_s.unwrap_or(f64::INFINITY));
+        Ok(())
+    }
+
+    /// # Errors
+    /// Another state.
+    pub fn enter_initialization(&mut self) -> Result<()> {
+        self.expect("fmi2EnterInitializationMode", &[Phase::Instantiated])?;
+        self.now.phase = Phase::Initializing;
+        Ok(())
+    }
+
+    /// Makes the test bench of what was set.
+    ///
+    /// # Errors
+    /// Another state; parameters that physics forbids together.
+    pub fn exit_initialization(&mut self) -> Result<()> {
+        self.expect("fmi2ExitInitializationMode", &[Phase::Initializing])?;
+        self.now.bench = Some(self.built(&self.now.values)?);
+        self.now.phase = Phase::Running;
+        Ok(())
+    }
+
+    /// # Errors
+    /// Another state.
+    pub fn terminate(&mut self) -> Result<()> {
+        self.expect("fmi2Terminate", &[Phase::Running, Phase::Failed])?;
+        self.now.phase = Phase::Terminated;
+        Ok(())
+    }
+
+    /// All as after instantiation.
+    pub fn reset(&mut self) {
+        self.now = Self::first(&self.variables);
+    }
+
+    /// The first value of what stands for `role`.
+    fn value(&self, values: &[f64], role: Role) -> f64 {
+        let of = self.variables.iter().position(|v| v.role == role);
+        of.map_or(f64::NAN, |i| values[i])
+    }
+
+    fn fault(&self, values: &[f64]) -> FaultState {
+        FaultState {
+            fsj: self.value(values, Role::Fsj),
+            zeta: self.value(values, Role::Zeta),
+        }
+    }
+
+    /// The test bench of these values, at rest.
+    fn built(&self, values: &[f64]) -> Result<DrivenBench> {
+        let mut own = ActuatorParameters::clone(&self.actuator);
+        let mut others = Vec::new();
+        let mut changed = false;
+        for (v, &x) in self.variables.iter().zip(values).filter(|(v, x)| v.start != **x) {
+            match v.role {
+                Role::Parameter(k) => others.push((k, x)),
+                Role::Effect(i, j) => {
+                    own.effects[i].values[j] = x;
+                    // identified is what the file had
+                    own.effects[i].intervals = None;
+                    changed = true;
+                }
+                _ => {}
+            }
+        }
+        let actuator = if changed || !others.is_empty() {
+            // through the reader of files, which knows what goes together
+            let text = own.to_toml();
+            ActuatorParameters::parse_with("parameters of the FMU", &text, &others)?.into()
+        } else {
+            self.actuator.clone()
+        };
+        Ok(DrivenBench::new(Lane {
+            actuator,
+            fault: self.fault(values),
+            rest_angle_rad: self.value(values, Role::RestAngle),
+            load_n_m: self.value(values, Role::Load),
+        }))
+    }
+
+    /// The value of a real variable, in its unit.
+    ///
+    /// # Errors
+    /// A value reference that is not there or of another type; an output before initialization.
+    pub fn real(&self, reference: u32) -> Result<f64> {
+        match self.typed(reference, true)?.role {
+            Role::Output(channel) => match &self.now.bench {
+                Some(bench) => Ok(bench.sample(channel)),
+                None => {
+                    let later = [Phase::Initializing, Phase::Running, Phase::Terminated, Phase::Failed];
+                    self.expect("fmi2GetReal of an output", &later)?;
+                    Ok(self.built(&self.now.values)?.sample(channel))
+                }
+            },
+            _ => Ok(self.now.values[reference as usize]),
+        }
+    }
+
+    /// The value of the enumeration.
+    ///
+    /// # Errors
+    /// A value reference that is not there or of another type.
+    pub fn integer(&self, reference: u32) -> Result<i32> {
+        self.typed(reference, false)?;
+        Ok(self.now.values[reference as usize] as i32)
+    }
+
+    fn check(&self, reference: u32, x: f64, is_real: bool) -> Result<()> {
+        let v = self.typed(reference, is_real)?;
+        let place = || format!("variable `{}`", v.name);
+        if !v.role.is_settable() {
+            return Err(self.bad(place(), "an output", "inputs and parameters to be set"));
+        }
+        let call = format!("setting {}", place());
+        if v.role.is_tunable() {
+            self.expect(&call, &[Phase::Instantiated, Phase::Initializing, Phase::Running])?;
+        } else {
+            self.expect(&call, &[Phase::Instantiated, Phase::Initializing])?;
+        }
+        if v.allows(x) {
+            Ok(())
+        } else {
+            Err(self.bad(place(), x, v.allowed()))
+        }
+    }
+
+    /// Sets real variables, all or none.
+    ///
+    /// # Errors
+    /// A value reference that is not there, of another type or of an output; a value that is not allowed; a fixed parameter
+    /// once steps may be made.
+    pub fn set_reals(&mut self, references: &[u32], values: &[f64]) -> Result<()> {
+        let pairs = || references.iter().zip(values);
+        pairs().try_for_each(|(r, x)| self.check(*r, *x, true))?;
+        pairs().for_each(|(r, x)| self.now.values[*r as usize] = *x);
+        let fault = self.fault(&self.now.values);
+        if let Some(bench) = &mut self.now.bench {
+            bench.set_fault(fault);
+        }
+        Ok(())
+    }
+
+    /// Sets the enumeration.
+    ///
+    /// # Errors
+    /// As [`Instance::set_reals`].
+    pub fn set_integers(&mut self, references: &[u32], values: &[i32]) -> Result<()> {
+        let pairs = || references.iter().zip(values);
+        pairs().try_for_each(|(r, x)| self.check(*r, f64::from(*x), false))?;
+        pairs().for_each(|(r, x)| self.now.values[*r as usize] = f64::from(*x));
+        Ok(())
+    }
+
+    /// Derivatives of inputs [unit/s, unit/s2], for the next step only; all or none.
+    ///
+    /// # Errors
+    /// What is no input, another order than 1 or 2, a value that is no number.
+    pub fn set_derivatives(&mut self, references: &[u32], orders: &[i32], values: &[f64]) -> Result<()> {
+        self.expect("fmi2SetRealInputDerivatives", &[Phase::Initializing, Phase::Running])?;
+        let all = || references.iter().zip(orders).zip(values);
+        for ((r, order), x) in all() {
+            let v = self.variable(*r)?;
+            let place = format!("derivative of variable `{}`", v.name);
+            if *r as usize >= INPUTS {
+                return Err(self.bad(place, "no input", "inputs: command, load_torque"));
+            }
+            if !(1..=2).contains(order) {
+                return Err(self.bad(format!("order of the {place}"), order, "1 or 2"));
+            }
+            if !x.is_finite() {
+                return Err(self.bad(place, x, "a finite number"));
+            }
+        }
+        all().for_each(|((r, order), x)| self.now.derivatives[*r as usize][*order as usize - 1] = *x);
+        Ok(())
+    }
+
+    /// Makes the simulator's steps up to the one nearest to the end of the communication step. True where something is worth a
+    /// warning, the first time that the end is between two steps.
+    ///
+    /// * `at_s` the communication point, `length_s` the communication step [s]
+    ///
+    /// # Errors
+    /// Another state or time than that of the last step's end, a step that is too short or too long or goes beyond stopTime;
+    /// values that are no longer numbers, after which the instance has failed.
+    pub fn step(&mut self, at_s: f64, length_s: f64) -> Result<bool> {
+        self.expect("fmi2DoStep", &[Phase::Running])?;
+        let dt = self.now.bench.as_ref().map_or(f64::NAN, DrivenBench::step_s);
+        if !(length_s >= dt * (1.0 - ON_STEP) && length_s <= LONGEST_S) {
+            let allowed = format!("{dt:e} s, a step of the simulator, to {LONGEST_S} s");
+            return Err(self.bad("communicationStepSize", length_s, allowed));
+        }
+        let apart = (at_s - self.now.time_s).abs();
+        if apart.is_nan() || apart > 0.5 * dt {
+            let allowed = format!("{} s, where the last step ended", self.now.time_s);
+            return Err(self.bad("currentCommunicationPoint", at_s, allowed));
+        }
+        let end_s = at_s + length_s;
+        if end_s > self.now.stop_s + 0.5 * dt {
+            let allowed = format!("at most stopTime, {} s", self.now.stop_s);
+            return Err(self.bad("end of the communication step", end_s, allowed));
+        }
+        let course = |input: usize| Course {
+            value: self.now.values[input],
+            derivatives: self.now.derivatives[input],
+        };
+        let (command, load) = (course(0), course(1));
+        let chosen = self.value(&self.now.values, Role::Sequence) as usize;
+        let sequence = chosen.checked_sub(2).and_then(|n| self.sequences.get(n));
+        let track = sequence.map(|s| CommandTrack::new(s, dt));
+        let now = &mut self.now;
+        let bench = now.bench.as_mut().expect("an instance in step mode has a bench");
+        let (begin, ends) = (at_s - now.start_s, (end_s - now.start_s) / dt);
+        let (mut step, last) = (bench.steps(), ends.round() as u64);
+        if step < last {
+            bench.next_interval();
+        }
+        while step < last {
+            let n = (last - step).min(CHUNK) as usize;
+            self.commands.resize(n, 0.0);
+            let after = |j: usize| (step + j as u64) as f64 * dt - begin;
+            match &track {
+                Some(track) => track.fill(step, &mut self.commands),
+                None => self
+                    .commands
+                    .iter_mut()
+                    .enumerate()
+                    .for_each(|(j, c)| *c = command.at(after(j))),
+            }
+            if load.is_held() {
+                bench.set_load(load.value);
+                bench.advance(&self.commands);
+            } else {
+                for (j, c) in self.commands.iter().enumerate() {
+                    bench.set_load(load.at(after(j)));
+                    bench.advance(std::slice::from_ref(c));
+                }
+            }
+            step += n as u64;
+        }
+        now.time_s = end_s;
+        for (input, course) in [command, load].into_iter().enumerate() {
+            now.values[input] = course.at(length_s);
+        }
+        now.derivatives = [[0.0; 2]; INPUTS];
+        if let Err(e) = bench.check_finite() {
+            now.phase = Phase::Failed;
+            return Err(e);
+        }
+        let between = (ends - ends.round()).abs() > ON_STEP;
+        let first = between && !now.warned;
+        now.warned |= between;
+        Ok(first)
+    }
+
+    /// The simulator's step [s]; NaN before initialization.
+    pub fn step_s(&self) -> f64 {
+        self.now.bench.as_ref().map_or(f64::NAN, DrivenBench::step_s)
+    }
+
+    /// All that changes.
+    pub fn moment(&self) -> &Moment {
+        &self.now
+    }
+
+    /// Goes back to a moment of this instance.
+    pub fn go_to(&mut self, moment: &Moment) {
+        self.now = moment.clone();
+    }
+
+    /// A moment in bytes: little endian, behind a mark and the guid.
+    pub fn bytes(&self, m: &Moment) -> Vec<u8> {
+        let mut numbers = vec![
+            f64::from(m.phase as u8),
+            m.start_s,
+            m.stop_s,
+            m.time_s,
+            f64::from(u8::from(m.warned)),
+        ];
+        numbers.extend(&m.values);
+        numbers.extend(m.derivatives.as_flattened());
+        numbers.extend(m.bench.as_ref().map_or(Vec::new(), DrivenBench::state));
+        let mut out = MAGIC.to_vec();
+        out.extend(guid(&self.actuator).bytes());
+        out.extend(numbers.into_iter().flat_map(f64::to_le_bytes));
+        out
+    }
+
+    /// The moment of [`Instance::bytes`], of an instance of the same FMU.
+    ///
+    /// # Errors
+    /// Bytes of another FMU, too few, too many, or values that are not allowed.
+    pub fn from_bytes(&self, bytes: &[u8]) -> Result<Moment> {
+        let bad = |found: &str| self.bad("serialized state", found, "the bytes of a state of this very FMU");
+        let (own, head) = (guid(&self.actuator), MAGIC.len());
+        let rest = bytes
+            .strip_prefix(&MAGIC[..])
+            .and_then(|b| b.strip_prefix(own.as_bytes()))
+            .ok_or_else(|| bad("another mark or guid"))?;
+        let (numbers, torn) = rest.as_chunks::<8>();
+        let numbers: Vec<f64> = numbers.iter().map(|b| f64::from_le_bytes(*b)).collect();
+        let (values, fixed) = (self.variables.len(), 5 + self.variables.len() + 2 * INPUTS);
+        if !torn.is_empty() || numbers.len() < fixed {
+            return Err(bad(&format!("{} bytes", bytes.len().max(head))));
+        }
+        let mut m = Self::first(&self.variables);
+        m.phase = *Phase::ALL
+            .get(numbers[0] as usize)
+            .ok_or_else(|| bad("a state that is not known"))?;
+        (m.start_s, m.stop_s, m.time_s, m.warned) = (numbers[1], numbers[2], numbers[3], numbers[4] != 0.0);
+        m.values.copy_from_slice(&numbers[5..5 + values]);
+        let derivatives = &numbers[5 + values..fixed];
+        m.derivatives.as_flattened_mut().copy_from_slice(derivatives);
+        let allowed = self.variables.iter().zip(&m.values).all(|(v, x)| v.allows(*x));
+        let finite = m.start_s.is_finite() && m.time_s.is_finite() && !m.stop_s.is_nan();
+        if !allowed || !finite || derivatives.iter().any(|x| !x.is_finite()) {
+            return Err(bad("values that are not allowed"));
+        }
+        let has_bench = !matches!(m.phase, Phase::Instantiated | Phase::Initializing);
+        if has_bench {
+            let mut bench = self.built(&m.values)?;
+            bench.restore(&numbers[fixed..])?;
+            m.bench = Some(bench);
+        } else if numbers.len() > fixed {
+            return Err(bad("numbers of a bench that is not made yet"));
+        }
+        Ok(m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use schemas::telemetry::Collector;
+    use sim_worker::effect::{Effect, EffectKind};
+    use sim_worker::setup::TestSetup;
+    use sim_worker::simulate::{Run, simulate};
+
+    fn actuator() -> ActuatorParameters {
+        let mut a = ActuatorParameters::reference();
+        a.effects = vec![
+            Effect::new(EffectKind::Cogging, &[0.001, 0.3, 12.0]),
+            Effect::new(EffectKind::LoadDependentFriction, &[0.1]),
+            Effect::new(EffectKind::Presliding, &[200.0, 0.001]),
+        ];
+        a
+    }
+
+    fn new(a: &ActuatorParameters) -> Instance {
+        Instance::new(a.clone(), &guid(a)).unwrap()
+    }
+
+    fn reference(i: &Instance, name: &str) -> u32 {
+        i.variables.iter().position(|v| v.name == name).unwrap() as u32
+    }
+
+    fn set(i: &mut Instance, name: &str, x: f64) -> Result<()> {
+        let r = reference(i, name);
+        i.set_reals(&[r], &[x])
+    }
+
+    fn get(i: &Instance, name: &str) -> f64 {
+        i.real(reference(i, name)).unwrap()
+    }
+
+    fn start(i: &mut Instance) {
+        i.enter_initialization().unwrap();
+        i.exit_initialization().unwrap();
+    }
+
+    fn outputs(i: &Instance) -> Vec<u64> {
+        DrivenBench::channels().map(|c| get(i, c.name()).to_bits()).collect()
+    }
+
+    fn refused<T>(r: Result<T>, words: &[&str]) {
+        let text = r.err().expect("a refusal").to_string();
+        for w in words {
+            assert!(text.contains(w), "no `{w}` in: {text}");
+        }
+    }
+
+    #[test]
+    fn prop_a_sequence_gives_the_samples_of_the_program() {
+        for a in [ActuatorParameters::reference(), actuator()] {
+            let sequence = sim_worker::catalogue::sequence("sine").unwrap();
+            let setup = TestSetup::new(a.clone().into(), sequence, 10_000.0);
+            let lane = Lane {
+                actuator: setup.actuator.clone(),
+                fault: FaultState { fsj: 3.0, zeta: 0.3 },
+                rest_angle_rad: 0.4,
+                load_n_m: 0.02,
+            };
+            let run = Run {
+                number: 0,
+                lane,
+                seed: 0,
+            };
+            let all = schemas::ChannelSet::of(DrivenBench::channels());
+            let mut sinks = [Collector::default()];
+            simulate(&setup.experiment(all).unwrap(), &[run], &mut sinks, || true).unwrap();
+
+            let mut i = new(&a);
+            i.setup(7.0, None).unwrap();
+            for (name, x) in [("fsj", 3.0), ("zeta", 0.3), ("rest_angle", 0.4), ("load_torque", 0.02)] {
+                set(&mut i, name, x).unwrap();
+            }
+            let r = reference(&i, "sequence");
+            i.set_integers(&[r], &[4]).unwrap();
+            start(&mut i);
+            for k in 0..3000 {
+                assert!(!i.step(7.0 + k as f64 * 1e-4, 1e-4).unwrap());
+                for c in DrivenBench::channels() {
+                    let x = sinks[0].column(c).unwrap()[k];
+                    assert_eq!(get(&i, c.name()).to_bits(), x.to_bits(), "{} {k}", c.name());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn prop_a_moment_comes_back_to_the_bit_in_memory_and_in_bytes() {
+        let mut i = new(&actuator());
+        set(&mut i, "command", 0.3).unwrap();
+        set(&mut i, "cogging.amplitude", 0.002).unwrap();
+        set(&mut i, "motor.inertia_kg_m2", 3e-5).unwrap();
+        start(&mut i);
+        let go = |i: &mut Instance| -> Vec<Vec<u64>> {
+            (0..100)
+                .map(|_| {
+                    set(i, "load_torque", 0.01).unwrap();
+                    i.set_derivatives(&[0, 1], &[1, 1], &[2.0, -30.0]).unwrap();
+                    i.step(i.time_s(), 3.33e-4).unwrap();
+                    outputs(i)
+                })
+                .collect()
+        };
+        go(&mut i);
+        set(&mut i, "fsj", 2.5).unwrap();
+        let kept = i.moment().clone();
+        let bytes = i.bytes(&kept);
+        let first = go(&mut i);
+        i.go_to(&kept);
+        assert_eq!(first, go(&mut i));
+        let mut other = new(&actuator());
+        other.go_to(&other.from_bytes(&bytes).unwrap());
+        assert_eq!(first, go(&mut other));
+        other.reset();
+        assert_eq!(
+            other.bytes(other.moment()),
+            new(&actuator()).bytes(new(&actuator()).moment())
+        );
+
+        for wrong in [&bytes[..10], &bytes[..bytes.len() - 1], &bytes[..bytes.len() - 8], &[]] {
+            refused(other.from_bytes(wrong), &["state"]);
+        }
+        let mut nan = bytes.clone();
+        nan[46 + 5 * 8..46 + 6 * 8].copy_from_slice(&f64::NAN.to_le_bytes());
+        refused(other.from_bytes(&nan), &["not allowed"]);
+        refused(new(&ActuatorParameters::reference()).from_bytes(&bytes), &["guid"]);
+    }
+
+    #[test]
+    fn prop_inputs_follow_their_derivatives_for_one_step() {
+        let mut i = new(&ActuatorParameters::reference());
+        start(&mut i);
+        i.set_derivatives(&[0, 0, 1], &[1, 2, 1], &[2.0, 100.0, 3.0]).unwrap();
+        i.step(0.0, 1e-2).unwrap();
+        assert!((get(&i, "command") - 0.025).abs() < 1e-12);
+        // of the last step's begin
+        assert!((get(&i, "com") - 0.025).abs() < 4e-6 && get(&i, "com") < 0.025);
+        assert!((get(&i, "load_torque") - 0.03).abs() < 1e-12);
+        i.step(0.01, 1e-2).unwrap();
+        assert!((get(&i, "com") - 0.025).abs() < 1e-12);
+    }
+
+    #[test]
+    fn prop_steps_of_any_length_end_on_the_nearest_step() {
+        let mut i = new(&ActuatorParameters::reference());
+        i.setup(0.0, Some(1e-3)).unwrap();
+        start(&mut i);
+        assert!(!i.step(0.0, 2e-6).unwrap());
+        assert!(i.step(2e-6, 2.4e-6).unwrap());
+        assert!(!i.step(4.4e-6, 2.4e-6).unwrap());
+        assert_eq!(i.now.bench.as_ref().unwrap().steps(), 7);
+        let t = i.time_s();
+        refused(i.step(t, 1e-9), &["communicationStepSize", "1e-6 s"]);
+        refused(i.step(t, f64::NAN), &["communicationStepSize"]);
+        refused(i.step(t, -1.0), &["communicationStepSize"]);
+        refused(i.step(t, 1e300), &["communicationStepSize"]);
+        refused(i.step(0.1, 1e-4), &["currentCommunicationPoint", "0.1"]);
+        refused(i.step(f64::NAN, 1e-4), &["currentCommunicationPoint"]);
+        refused(i.step(t, 0.1), &["stopTime"]);
+        assert!(!i.step(t, 1e-3 - t).unwrap());
+    }
+
+    #[test]
+    fn refuse_what_is_not_allowed() {
+        let mut i = new(&actuator());
+        refused(Instance::new(actuator(), "{x}").map(|_| ()), &["guid", "{x}"]);
+        refused(set(&mut i, "fsj", 9.0), &["fsj", "found 9", "1 to 5"]);
+        refused(set(&mut i, "zeta", 0.6), &["zeta", "0 to 0.5"]);
+        refused(set(&mut i, "command", f64::NAN), &["command", "NaN", "finite"]);
+        refused(set(&mut i, "theta_m", 0.0), &["theta_m", "output"]);
+        refused(
+            set(&mut i, "cogging.amplitude", -1.0),
+            &["cogging.amplitude", "at least 0 N.m"],
+        );
+        refused(i.real(999), &["value reference", "999"]);
+        refused(i.real(2), &["instantiated"]);
+        let r = reference(&i, "sequence");
+        refused(i.real(r), &["sequence", "fmi2GetInteger"]);
+        refused(i.set_integers(&[r], &[8]), &["found 8", "1 external, 2 preflight"]);
+        refused(i.set_integers(&[0], &[1]), &["command", "fmi2GetReal"]);
+        refused(i.step(0.0, 1e-4), &["fmi2DoStep", "instantiated", "step mode"]);
+        refused(i.setup(f64::INFINITY, None), &["startTime"]);
+        refused(i.setup(1.0, Some(0.0)), &["stopTime"]);
+        // what goes together is known at the end of initialization
+        set(&mut i, "motor.phase_resistance_ohm", 1e4).unwrap();
+        i.enter_initialization().unwrap();
+        refused(i.exit_initialization(), &["step_s", "a tenth of L/R"]);
+        set(&mut i, "motor.phase_resistance_ohm", 1.0).unwrap();
+        i.exit_initialization().unwrap();
+        refused(set(&mut i, "rest_angle", 0.1), &["rest_angle", "step mode"]);
+        refused(i.set_derivatives(&[2], &[1], &[0.0]), &["no input"]);
+        refused(i.set_derivatives(&[0], &[3], &[0.0]), &["order", "1 or 2"]);
+        refused(i.set_derivatives(&[0], &[1], &[f64::NAN]), &["finite"]);
+        set(&mut i, "command", 1.7e308).unwrap();
+        i.set_derivatives(&[0], &[1], &[1.7e308]).unwrap();
+        refused(i.step(0.0, 2.0), &["com at step", "inf"]);
+        assert_eq!(i.phase(), Phase::Failed);
+        refused(i.step(2.0, 1e-4), &["failed"]);
+        i.terminate().unwrap();
+        assert_eq!(i.real(reference(&i, "v_dc")).unwrap(), 48.0);
+    }
+}
