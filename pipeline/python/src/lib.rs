@@ -10,6 +10,7 @@ mod actuator;
 mod diagnose;
 mod discrepancy;
 mod error;
+mod fitted;
 mod json;
 mod maps;
 mod prognosis;
@@ -34,6 +35,7 @@ fn _ema(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<table::Table>()?;
     m.add_class::<table::Column>()?;
     m.add_class::<maps::Maps>()?;
+    m.add_class::<fitted::FittedMaps>()?;
     m.add_function(wrap_pyfunction!(run::run, m)?)?;
     m.add_function(wrap_pyfunction!(sweep::sweep, m)?)?;
     m.add_function(wrap_pyfunction!(sweep::grid, m)?)?;

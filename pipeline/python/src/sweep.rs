@@ -158,7 +158,8 @@ impl Sweep<'_> {
     /// over the seeds of the noise.
     fn table(&self, runs: &[Left], nominal: &RawFeatures) -> Result<RecordBatch> {
         let number = |n: &str| Field::new(n, DataType::Float64, true);
-        let with = |n: &str, unit: &str| number(n).with_metadata(HashMap::from([("unit".to_string(), unit.to_string())]));
+        let with =
+            |n: &str, unit: &str| number(n).with_metadata(HashMap::from([("unit".to_string(), unit.to_string())]));
         let column =
             |f: &dyn Fn(&Left) -> Option<f64>| -> ArrayRef { Arc::new(runs.iter().map(f).collect::<Float64Array>()) };
         let mut fields = vec![Field::new("run", DataType::UInt64, false)];

@@ -419,15 +419,3 @@ fn of_buffer(py: Python<'_>, buffer: PyUntypedBuffer) -> PyResult<Option<ArrayRe
         _ => None,
     })
 }
-
-/// Numbers of a column, however they are stored.
-pub fn numbers(table: &Table, name: &str) -> PyResult<Vec<Option<f64>>> {
-    let all = table.whole(name)?;
-    let all = cast(&all, &DataType::Float64).map_err(|e| PyTypeError::new_err(e.to_string()))?;
-    // NaN is how arrays say that nothing is there
-    Ok(all
-        .as_primitive::<Float64Type>()
-        .iter()
-        .map(|x| x.filter(|x| !x.is_nan()))
-        .collect())
-}
