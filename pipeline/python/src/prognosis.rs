@@ -6,9 +6,9 @@ use crate::json;
 use crate::source::Source;
 use crate::work::long;
 use anyhow::Result;
-use pipeline::prognosis::Clock;
 use pipeline::prognosis::wanted::{Wanted, fleets_of, foretell, written};
 use pipeline::prognosis::words::to_json;
+use pipeline::prognosis::{Clock, Told};
 use pyo3::prelude::*;
 use serde_json::Value;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ fn clock_of(name: Option<&str>) -> Result<Option<Clock>> {
 }
 
 #[pyfunction]
-#[pyo3(signature = (history, thresholds, actuator, fleet, risk, horizon, clock, events, column, healthy, out, progress=None))]
+#[pyo3(signature = (history, thresholds, actuator, fleet, risk, horizon, clock, events, column, healthy, out, samples, progress=None))]
 #[allow(clippy::too_many_arguments)]
 pub fn prognosis<'py>(
     py: Python<'py>,
@@ -37,6 +37,7 @@ pub fn prognosis<'py>(
     column: Option<String>,
     healthy: Option<f64>,
     out: Option<PathBuf>,
+    samples: bool,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let source = Source::of(history)?;
@@ -63,7 +64,16 @@ pub fn prognosis<'py>(
         if let Some(dir) = &out {
             written(dir, &told, &fleets)?;
         }
-        Ok(Value::Array(told.iter().map(to_json).collect()))
+        let one = |t: &Told| {
+            let mut json = to_json(t);
+            if samples {
+                // beyond the horizon: null, since JSON has no infinity
+                let times = t.outlook.left.as_ref().map_or(&[][..], |l| &l.times);
+                json["samples"] = times.iter().map(|x| x.is_finite().then_some(*x)).collect();
+            }
+            json
+        };
+        Ok(Value::Array(told.iter().map(one).collect()))
     })?;
     json::to_py(py, &told)
 }

@@ -15,6 +15,7 @@ Long calls run without the interpreter's lock, on all cores (``RAYON_NUM_THREADS
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Any, Iterable, Mapping, Sequence
 
@@ -324,6 +325,7 @@ def prognosis(
     healthy: float | None = None,
     actuator: Actuator | None = None,
     out: Path | None = None,
+    samples: bool = False,
     progress: Progress = None,
 ) -> list[dict[str, Any]]:
     """From diagnoses over time to trend, rate, law of growth, remaining life and when to look again.
@@ -343,6 +345,8 @@ def prognosis(
         healthy: its level in a healthy unit.
         actuator: for ``stall``; the reference if left out.
         out: folder for tables, figures and report.html.
+        samples: also give ``samples``, the time left as ascending samples of equal weight [units of the clock]; infinite where
+            the threshold is not passed within the horizon.
         progress: True, or a function of runs done and runs of all, while something is simulated.
 
     Returns:
@@ -354,7 +358,7 @@ def prognosis(
     """
     named = [f"{fault}={level}" for fault, level in (thresholds or {}).items()]
     with teller(progress, "prognosis") as tell:
-        return _ema.prognosis(
+        told = _ema.prognosis(
             history,
             named,
             actuator,
@@ -366,8 +370,13 @@ def prognosis(
             column,
             healthy,
             None if out is None else os.fspath(out),
+            samples,
             tell,
         )
+    for one in told:
+        if samples:
+            one["samples"] = [math.inf if x is None else x for x in one["samples"]]
+    return told
 
 
 def __getattr__(name: str) -> Any:

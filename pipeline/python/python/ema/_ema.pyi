@@ -240,5 +240,6 @@ def prognosis(
     column: str | None,
     healthy: float | None,
     out: str | None,
+    samples: bool,
     progress: _Tell = None,
 ) -> list[dict[str, Any]]: ...
