@@ -2,18 +2,20 @@
 
 use crate::input::{self, How, Measured};
 use crate::maps::{self, MapRequest};
+use crate::refine::{self, Refined};
 use anyhow::Result;
 use diagnoser::diagnosis::{Diagnoser, Diagnosis, Known, Outcome, parse_known};
 use diagnoser::failure_map::FailureMapSet;
 use diagnoser::live::{HIGHEST_RATE_HZ, LOWEST_RATE_HZ};
 use diagnoser::map_library::{self, Choice};
-use diagnoser::unit::UnitFile;
+use diagnoser::unit::{BASELINES, UnitFile};
 use ema_tables::ChannelMap;
 use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::test_kind::TestKind;
+use serde_json::Value;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::SensorModel;
@@ -107,11 +109,14 @@ pub struct Case {
     pub diagnoser: Diagnoser,
     /// what the telemetry lacks, in words
     pub missing: Vec<String>,
+    /// the paper's own method in place of the joint inversion
+    by_paper: bool,
 }
 
 impl Case {
     /// Takes the paper's own method in place of the joint inversion.
     pub fn by_paper(&mut self) {
+        self.by_paper = true;
         self.diagnosis = diagnoser::paper::diagnose(&self.diagnoser, &self.diagnosis.features, &self.missing);
     }
 }
@@ -303,7 +308,66 @@ pub fn run(path: &Path, settings: &Settings) -> Result<Case> {
         diagnosis,
         diagnoser,
         missing,
+        by_paper: false,
     })
+}
+
+/// A path as a shell takes it.
+pub(crate) fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,".contains(c);
+    if text.chars().all(plain) {
+        text
+    } else {
+        format!("'{}'", text.replace('\'', "'\\''"))
+    }
+}
+
+/// The command that makes more of a recording that nothing explains, and what for.
+///
+/// * `file` the recording
+/// * `unit` that was tested, and its file
+/// * `actuator` file of the one that it was taken for; the reference if `None`
+pub fn next_command(file: &Path, unit: Option<(&UnitFile, &Path)>, actuator: Option<&Path>) -> (String, &'static str) {
+    if let Some((unit, path)) = unit.filter(|(u, _)| u.healthy() < BASELINES) {
+        let more = match unit.healthy() {
+            0 => "healthy tests of this very unit: what its model is off by is then known",
+            _ => "more healthy tests of this very unit: three or more also show what its model is off by",
+        };
+        return (format!("ema unit update {} RECORDING... --healthy", quoted(path)), more);
+    }
+    let of_unit = unit.map(|(u, _)| Path::new(&u.source)).filter(|p| p.exists());
+    let model = of_unit.or(actuator);
+    let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
+    let study = format!("ema discrepancy --model {model} --bench {} --out study", quoted(file));
+    (study, "finds what is missing from the model")
+}
+
+/// The diagnosis for programs: the keys of `ema diagnose --json`.
+///
+/// * `unit` that was tested, where one is known
+/// * `refined` by running the test bench, where that was done
+/// * `next` the command that makes more of a recording that nothing explains
+pub fn to_json(case: &Case, unit: Option<&UnitFile>, refined: Option<&Refined>, next: Option<&str>) -> Value {
+    let mut json = diagnoser::report::to_json(&case.diagnosis);
+    if case.by_paper {
+        json["method"] = "paper".into();
+    }
+    if let Some(r) = refined {
+        json["refined"] = refine::to_json(r);
+    }
+    if let Some(unit) = unit {
+        json["unit"] = serde_json::json!({
+            "name": unit.name, "tests": unit.taken(), "healthy_tests": unit.healthy(), "reference": unit.reference(),
+        });
+    }
+    if !case.measured.said.is_empty() {
+        json["read"] = case.measured.said.clone().into();
+    }
+    if let Some(next) = next {
+        json["next_command"] = next.into();
+    }
+    json
 }
 
 /// What the intervals promise, and on what grounds.

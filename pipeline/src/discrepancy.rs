@@ -12,6 +12,7 @@ use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
 use ema_study::told::{next, persist, tell, verify};
 use schemas::error::{Error, write_whole};
+use serde_json::Value;
 use sim_worker::effect::{Effect, Note};
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
@@ -215,6 +216,22 @@ pub fn diagnose(written: &Written, test: &Path) -> Result<Option<Case>> {
         None => ActuatorParameters::read(Path::new(&written.findings.model))?,
     };
     Ok(Some(case::run(test, &Settings::of_actuator(actuator.into())?)?))
+}
+
+/// The keys of `ema discrepancy --json`.
+///
+/// * `cases` recordings that were then diagnosed; no key where none were to be
+pub fn to_json(findings: &Findings, cases: Option<&[(&Path, Case)]>) -> Value {
+    let mut json = findings.to_json();
+    if let Some(cases) = cases {
+        let all = cases.iter().map(|(test, c)| {
+            let mut d = diagnoser::report::to_json(&c.diagnosis);
+            d["recording"] = test.display().to_string().into();
+            d
+        });
+        json["diagnoses"] = all.collect();
+    }
+    json
 }
 
 /// How an effect was identified, for its provenance.

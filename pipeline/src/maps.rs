@@ -22,6 +22,9 @@ use std::path::{Path, PathBuf};
 /// Hash of the sources that saved maps depend on beyond the features that they are made of.
 const SOURCE: &str = env!("EMA_SOURCE");
 
+/// Name of a file of maps in its folder.
+const FILE: &str = "maps.parquet";
+
 /// What maps are made for.
 #[derive(Clone, Debug)]
 pub struct MapRequest {
@@ -49,12 +52,20 @@ pub(crate) fn cached_in(request: &MapRequest) -> Result<PathBuf> {
     Ok(cache_dir().join("maps").join(key))
 }
 
+/// File that maps for a request are kept in.
+///
+/// # Errors
+/// Refuses a grid that makes no maps.
+pub fn cache_file(request: &MapRequest) -> Result<PathBuf> {
+    Ok(cached_in(request)?.join(FILE))
+}
+
 /// Maps for a request from the cache, with their calibration; `None` where either is not there.
 ///
 /// # Errors
 /// Refuses a grid that makes no maps, and what [`Choice::ready`] refuses.
 pub fn found(request: &MapRequest, choice: &Choice) -> Result<Option<Diagnoser>> {
-    let file = cached_in(request)?.join("maps.parquet");
+    let file = cached_in(request)?.join(FILE);
     let Ok(set) = FailureMapSet::load(&file) else {
         return Ok(None);
     };
@@ -73,7 +84,7 @@ pub fn found(request: &MapRequest, choice: &Choice) -> Result<Option<Diagnoser>>
 pub fn cached(request: &MapRequest, choice: &Choice, known: &Known) -> Result<Diagnoser> {
     let dir = cached_in(request)?;
     let set = made(&dir, request)?;
-    calibrated(&dir.join("maps.parquet"), set, &request.setup, choice, known)
+    calibrated(&dir.join(FILE), set, &request.setup, choice, known)
 }
 
 /// Saved maps made ready, calibrated quickly where there is no calibration beside them that can be used.
@@ -111,7 +122,7 @@ pub fn calibrated(
 /// Refuses a grid that makes no maps; fails where the folder cannot be written, or the simulation is
 /// interrupted ([`crate::Interrupted`]).
 pub fn made(dir: &Path, request: &MapRequest) -> Result<FailureMapSet> {
-    let file = dir.join("maps.parquet");
+    let file = dir.join(FILE);
     if let Ok(set) = FailureMapSet::load(&file) {
         return Ok(set);
     }

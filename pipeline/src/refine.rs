@@ -16,8 +16,9 @@
 mod response;
 
 use crate::calibrate::simulate_features;
+use crate::case::{Case, Settings};
 use anyhow::Result;
-use diagnoser::diagnosis::{Area, Known};
+use diagnoser::diagnosis::{Area, Known, parse_known};
 use diagnoser::map_library::checked_coverage;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
@@ -165,6 +166,42 @@ impl Refined {
         let fz = self.correlation * f * z;
         [[f * f, fz], [fz, z * z]]
     }
+}
+
+/// Fits a diagnosed recording by running the test bench, from the area that the maps allow.
+///
+/// # Errors
+/// As [`refine`]; interrupted ([`crate::Interrupted`]).
+pub fn of_case(case: &Case, settings: &Settings) -> Result<Refined> {
+    let header = &case.diagnoser.maps.header;
+    let known = parse_known(&settings.known, &case.setup.actuator, header.kind.rest_angle_rad)?;
+    let test = Test {
+        setup: &case.setup,
+        nominal: &case.diagnoser.maps.nominal,
+        features: &case.diagnosis.features,
+        spread: &settings.choice.spread,
+        known: &known,
+    };
+    let start = case.diagnosis.outcome.area().map(Start::of);
+    let refined = refine(&test, start, settings.choice.coverage, 0)?;
+    refined.ok_or(crate::Interrupted.into())
+}
+
+/// Keys of the interface.
+pub fn to_json(r: &Refined) -> serde_json::Value {
+    let interval =
+        |i: Interval, e: f64, sigma: f64| serde_json::json!({"lo": i.lo, "hi": i.hi, "estimate": e, "sigma": sigma});
+    let cause =
+        |c: &FittedCause| serde_json::json!({"cause": c.cause.key(), "share_of_half_width": c.share, "sigma": c.sigma});
+    serde_json::json!({
+        "fsj": interval(r.fsj, r.estimate.0, r.sigma.0),
+        "zeta": interval(r.zeta, r.estimate.1, r.sigma.1),
+        "correlation": r.correlation,
+        "misfit": r.misfit,
+        "runs": r.runs,
+        "converged": r.converged,
+        "causes": r.causes.iter().map(cause).collect::<Vec<_>>(),
+    })
 }
 
 /// Fits one recording. `Ok(None)` where it was interrupted.

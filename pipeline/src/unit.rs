@@ -20,9 +20,10 @@ use rayon::prelude::*;
 use schemas::error::Error;
 use schemas::fault::FaultState;
 use schemas::feature::{Feature, Features};
+use sim_worker::parameters::ActuatorParameters;
 use sim_worker::setup::TestSetup;
-use sim_worker::spread::Cause;
-use std::path::Path;
+use sim_worker::spread::{Cause, Spread};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// What a campaign of simulated units costs.
@@ -248,6 +249,105 @@ fn request(setup: &TestSetup, settings: &Settings) -> MapRequest {
         },
         grid: settings.grid.clone(),
     }
+}
+
+/// What a unit is of, where no file says it.
+pub(crate) const REFERENCE: &str = "the reference actuator (values assumed)";
+
+/// What a unit begins with.
+pub struct Beginning {
+    /// its type, and where that is from; the reference if `None`
+    pub actuator: Option<(ActuatorParameters, String)>,
+    /// folder of a study of this unit: the model is the one that it wrote
+    pub study: Option<PathBuf>,
+    /// how units of the type and their tests differ where no study says it
+    pub spread: Spread,
+    /// what it is called; the name of its file if `None`
+    pub name: Option<String>,
+}
+
+/// Writes the file of a new unit.
+///
+/// # Errors
+/// Refuses a file that is there already, a study that wrote no model or is of another machine than the one that is named.
+pub fn begin(file: &Path, with: Beginning) -> Result<UnitFile> {
+    if file.exists() {
+        let file = file.display().to_string();
+        return Err(Error::bad(file, "file", "there already", "a file that is not there yet").into());
+    }
+    let (actuator, source) = match &with.study {
+        Some(dir) => {
+            let model = dir.join("actuator.toml");
+            if !model.exists() {
+                let allowed =
+                    "a study that wrote a model (ema discrepancy --healthy --out); without one leave --study out";
+                return Err(Error::bad(model.display().to_string(), "file", "nothing", allowed).into());
+            }
+            let studied = ActuatorParameters::read(&model)?;
+            same_machine(&model, &studied, with.actuator.as_ref().map(|a| &a.0))?;
+            (studied, model.display().to_string())
+        }
+        None => with
+            .actuator
+            .unwrap_or_else(|| (ActuatorParameters::reference(), REFERENCE.into())),
+    };
+    let stem = || {
+        file.file_stem()
+            .map_or_else(|| "unit".into(), |s| s.to_string_lossy().into_owned())
+    };
+    let unit = UnitFile::new(with.name.unwrap_or_else(stem), source, actuator, with.spread);
+    unit.save(file)?;
+    Ok(unit)
+}
+
+/// Refuses a study of another machine than the one that was named: what no study changes is the same in both.
+fn same_machine(file: &Path, studied: &ActuatorParameters, named: Option<&ActuatorParameters>) -> Result<()> {
+    let Some(named) = named else { return Ok(()) };
+    let fixed = |a: &ActuatorParameters| [f64::from(a.pole_pairs), a.gear_ratio, a.supply_voltage_v];
+    for (place, (found, allowed)) in ["pole pairs", "gear ratio", "supply voltage [V]"]
+        .into_iter()
+        .zip(fixed(studied).into_iter().zip(fixed(named)))
+    {
+        if found != allowed {
+            let allowed = format!("{allowed}, of the actuator that --actuator names");
+            return Err(Error::bad(file.display().to_string(), place, found, allowed).into());
+        }
+    }
+    Ok(())
+}
+
+/// Constants: cause, deviation and standard deviation now, standard deviation before any test.
+pub(crate) fn constants(unit: &UnitFile) -> Vec<(Cause, f64, f64, f64)> {
+    let prior = unit.prior();
+    let one = |c: &Cause| {
+        let (mean, sd) = unit.constants.of(*c)?;
+        Some((*c, mean, sd, prior.of(*c)?.1))
+    };
+    unit.constants.causes.iter().filter_map(one).collect()
+}
+
+/// Keys of `ema unit show --json`.
+pub fn to_json(unit: &UnitFile) -> serde_json::Value {
+    let constant = |(c, mean, sd, before): (Cause, f64, f64, f64)| serde_json::json!({"cause": c.key(), "deviation": mean, "sigma": sd, "sigma_before": before});
+    let test = |t: &diagnoser::unit::TestEntry| {
+        let interval =
+            |i: Option<(f64, f64, f64)>| i.map(|(lo, e, hi)| serde_json::json!({"lo": lo, "estimate": e, "hi": hi}));
+        serde_json::json!({
+            "file": t.file, "healthy": t.healthy, "taken": t.is_taken(), "outcome": t.outcome, "reason": t.reason,
+            "fsj": interval(t.fsj), "zeta": interval(t.zeta), "checksum": t.checksum, "commit": t.commit,
+        })
+    };
+    let last = unit.tests.iter().rev().find(|t| t.fsj.is_some());
+    serde_json::json!({
+        "name": unit.name,
+        "model": unit.source,
+        "tests": unit.taken(),
+        "healthy_tests": unit.healthy(),
+        "reference": unit.reference(),
+        "constants": constants(unit).into_iter().map(constant).collect::<Vec<_>>(),
+        "present": last.map(test),
+        "history": unit.tests.iter().map(test).collect::<Vec<_>>(),
+    })
 }
 
 /// What became of a recording that a unit was shown.

@@ -9,7 +9,7 @@ use crate::fault::FaultState;
 use crate::table::{Batches, open, pairs, writer_properties};
 use crate::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use arrow::array::{Array, ArrayRef, AsArray, Float32Array, Float64Array, Int64Array, RecordBatch, UInt64Array};
-use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, UInt64Type};
+use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int64Type, Schema, SchemaRef, UInt64Type};
 use parquet::arrow::ArrowWriter;
 use parquet::file::metadata::KeyValue;
 use std::collections::BTreeMap;
@@ -112,7 +112,7 @@ impl Provenance {
 }
 
 /// Columns of a telemetry table: run and faults, time, channels as f32 (`single`) or f64.
-pub(crate) fn telemetry_schema(channels: ChannelSet, single: bool) -> Schema {
+pub fn telemetry_schema(channels: ChannelSet, single: bool) -> Schema {
     let mut fields = vec![
         Field::new("run", DataType::UInt64, false),
         Field::new("fsj", DataType::Float64, true),
@@ -128,6 +128,46 @@ pub(crate) fn telemetry_schema(channels: ChannelSet, single: bool) -> Schema {
     Schema::new(fields)
 }
 
+/// A block of samples as rows of a telemetry table.
+///
+/// * `schema` of [`telemetry_schema`]
+/// * `rate_hz` telemetry rate [Hz]
+///
+/// # Errors
+/// A block that lacks a channel of the schema, in words.
+///
+/// # Panics
+/// If the schema is another one.
+pub fn telemetry_batch(
+    schema: &SchemaRef,
+    rate_hz: f64,
+    header: &TelemetryHeader,
+    view: &TelemetryView<'_>,
+) -> std::result::Result<RecordBatch, String> {
+    let n = view.rows;
+    let constant = |x: Option<f64>| -> ArrayRef { Arc::new(Float64Array::from(vec![x; n])) };
+    let time = |i: usize| ((view.first + i as u64) as f64 / rate_hz * 1e9).round() as i64;
+    let mut columns: Vec<ArrayRef> = vec![
+        Arc::new(UInt64Array::from(vec![header.run; n])),
+        constant(header.fault.map(|f| f.fsj)),
+        constant(header.fault.map(|f| f.zeta)),
+        constant(header.rest_angle_rad),
+        Arc::new(Int64Array::from_iter_values((0..n).map(time))),
+    ];
+    for f in &schema.fields()[5..] {
+        let c = Channel::from_name(f.name()).expect("the schema was made of channels");
+        let values = view
+            .column(c)
+            .ok_or_else(|| format!("a block without channel {}", c.name()))?;
+        columns.push(if *f.data_type() == DataType::Float32 {
+            Arc::new(Float32Array::from_iter_values(values.iter().map(|&x| x as f32)))
+        } else {
+            Arc::new(Float64Array::from_iter_values(values.iter().copied()))
+        });
+    }
+    RecordBatch::try_new(schema.clone(), columns).map_err(|e| e.to_string())
+}
+
 /// A failure of the disk, as the Parquet writer reports it.
 fn unwritten(path: &Path, why: impl std::fmt::Display) -> Error {
     Error::io(path, "cannot be written", std::io::Error::other(why.to_string()))
@@ -139,7 +179,6 @@ pub struct Recorder {
     path: PathBuf,
     tmp: PathBuf,
     schema: Arc<Schema>,
-    single: bool,
     rate_hz: f64,
     writer: Option<ArrowWriter<File>>,
     pairs: Vec<(String, String)>,
@@ -166,7 +205,6 @@ impl Recorder {
             path: path.into(),
             tmp,
             schema,
-            single,
             rate_hz: provenance.rate_hz,
             writer: Some(writer),
             pairs: provenance.pairs(),
@@ -220,28 +258,8 @@ impl TelemetrySink for Recorder {
             writer.flush().map_err(|e| unwritten(&self.path, e))?;
             self.end_run();
         }
-        let n = view.rows;
-        let constant = |x: Option<f64>| -> ArrayRef { Arc::new(Float64Array::from(vec![x; n])) };
-        let time = |i: usize| ((view.first + i as u64) as f64 / self.rate_hz * 1e9).round() as i64;
-        let mut columns: Vec<ArrayRef> = vec![
-            Arc::new(UInt64Array::from(vec![header.run; n])),
-            constant(header.fault.map(|f| f.fsj)),
-            constant(header.fault.map(|f| f.zeta)),
-            constant(header.rest_angle_rad),
-            Arc::new(Int64Array::from_iter_values((0..n).map(time))),
-        ];
-        for f in &self.schema.fields()[5..] {
-            let c = Channel::from_name(f.name()).expect("the schema was made of channels");
-            let values = view
-                .column(c)
-                .ok_or_else(|| Error::torn(&self.path, format!("a block without channel {}", c.name())))?;
-            columns.push(if self.single {
-                Arc::new(Float32Array::from_iter_values(values.iter().map(|&x| x as f32)))
-            } else {
-                Arc::new(Float64Array::from_iter_values(values.iter().copied()))
-            });
-        }
-        let batch = RecordBatch::try_new(self.schema.clone(), columns).map_err(|e| Error::torn(&self.path, e))?;
+        let batch =
+            telemetry_batch(&self.schema, self.rate_hz, header, view).map_err(|e| Error::torn(&self.path, e))?;
         let (_, sum) = self.run.get_or_insert_with(|| (header.run, RunSum::default()));
         sum.take(self.schema.fields(), batch.columns());
         let writer = self.writer.as_mut().expect("not finished");

@@ -2,6 +2,7 @@
 
 use crate::sensor::SensorModel;
 use crate::spread::Spread;
+use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::fault::FaultGrid;
 use schemas::sequence::TestSequence;
@@ -85,6 +86,31 @@ pub fn sensors(name: &str) -> Result<Option<SensorModel>> {
         return Ok(None);
     }
     SensorModel::from_section(section("sensors", SENSORS, name)?).map(Some)
+}
+
+/// Channels that the test bench gives.
+pub fn simulated() -> impl Iterator<Item = Channel> {
+    Channel::ALL.iter().copied().filter(|c| *c != Channel::Temperature)
+}
+
+/// The basic channels and what else is named; `all` is all that the test bench gives.
+///
+/// # Errors
+/// A name that is no channel of the test bench.
+pub fn channels(names: &[String]) -> Result<ChannelSet> {
+    let mut set = ChannelSet::basic();
+    for n in names {
+        if n == "all" {
+            set = ChannelSet::of(simulated());
+            continue;
+        }
+        let c = simulated().find(|c| c.name() == n).ok_or_else(|| {
+            let all: Vec<&str> = simulated().map(Channel::name).collect();
+            Error::bad("command line", "--channels", n, format!("all, {}", all.join(", ")))
+        })?;
+        set = set.with(c);
+    }
+    Ok(set)
 }
 
 /// A built-in spread, one from a `.toml` file, or `none`.

@@ -1,7 +1,7 @@
 //! Actuator parameters: TOML in, checked values out.
 
 use crate::effect::{self, Effect, REFERENCE_TEMPERATURE_DEGC};
-use schemas::error::Result;
+use schemas::error::{Error, Result};
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::toml_section::{self, Section, quoted};
 use std::borrow::Cow;
@@ -354,6 +354,30 @@ impl ActuatorParameters {
         Self::from_section(s)
     }
 
+    /// Every parameter: name of the field, unit, value; in the order of a file.
+    pub fn parameters(&self) -> impl Iterator<Item = (&'static str, &'static str, f64)> {
+        ALL.iter().zip(self.all()).map(|(p, x)| (p.name, p.unit, x))
+    }
+
+    /// The same with other values of some parameters, which are checked as those of a file are.
+    ///
+    /// * `changes` names as in [`ActuatorParameters::parameters`]
+    ///
+    /// # Errors
+    /// A name that is none, and values that physics forbids.
+    pub fn with(&self, changes: &[(&str, f64)]) -> Result<Self> {
+        let file = format!("actuator `{}`", self.name);
+        let mut s = toml_section::parse(&file, &self.to_toml())?;
+        for &(name, x) in changes {
+            let Some(p) = ALL.iter().find(|p| p.name == name) else {
+                let names: Vec<&str> = ALL.iter().map(|p| p.name).collect();
+                return Err(Error::bad(file, "parameter", name, names.join(", ")));
+            };
+            s.put(p.table, p.key, x)?;
+        }
+        Self::from_section(s)
+    }
+
     /// The reference actuator of `datasets/parameters/reference.toml`.
     pub fn reference() -> Self {
         Self::parse("datasets/parameters/reference.toml", REFERENCE).expect("the built-in parameters are valid")
@@ -564,6 +588,26 @@ mod tests {
             a.effects = vec![Effect::new(EffectKind::Cogging, &[0.001, -0.3, 12.0]), e];
             assert_eq!(written_and_read(&a), a, "{}", kind.name());
         }
+    }
+
+    #[test]
+    fn prop_a_parameter_that_is_changed_by_name_is_the_only_one_and_is_checked() {
+        let a = ActuatorParameters::reference();
+        assert_eq!(a.with(&[]).unwrap(), a);
+        for (k, (name, _, x)) in a.parameters().enumerate() {
+            let y = match name {
+                "pole_pairs" => 3.0,
+                "drive_constant_n_m_per_a" => 0.08,
+                "opposing_efficiency" | "aiding_efficiency" | "step_s" => 0.5 * x,
+                _ => 0.9 * x,
+            };
+            let b = a.with(&[(name, y)]).unwrap();
+            let changed: Vec<usize> = (0..ALL.len()).filter(|&i| a.all()[i] != b.all()[i]).collect();
+            assert_eq!((changed, b.all()[k]), (vec![k], y), "{name}");
+        }
+        assert!(a.with(&[("gear_ratio", 0.0)]).is_err());
+        let said = a.with(&[("gear", 1.0)]).unwrap_err().to_string();
+        assert!(said.contains("found gear; allowed: supply_voltage_v"), "{said}");
     }
 
     #[test]

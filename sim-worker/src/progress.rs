@@ -2,7 +2,7 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, LazyLock, Mutex};
 use std::time::Duration;
 
 /// What has been done so far, for a progress display in another thread.
@@ -18,6 +18,29 @@ pub struct Progress {
 
 static INTERRUPTED: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 static QUIET: AtomicBool = AtomicBool::new(false);
+static SHOWN: Mutex<Option<Shown>> = Mutex::new(None);
+
+/// What the bar of the work in progress shows, for hosts that have a display of their own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shown {
+    /// what is being done
+    pub title: String,
+    /// runs done
+    pub runs: u64,
+    /// runs of all
+    pub total: u64,
+}
+
+/// What the latest bar shows; none where no work has one.
+pub fn shown() -> Option<Shown> {
+    SHOWN.lock().map_or(None, |s| s.clone())
+}
+
+fn show(what: Option<Shown>) {
+    if let Ok(mut s) = SHOWN.lock() {
+        *s = what;
+    }
+}
 
 /// No bars and notes on standard error from now on: the terminal is used otherwise.
 pub fn be_quiet() {
@@ -65,9 +88,13 @@ pub fn with_bar<T>(title: &str, total: u64, progress: &Arc<Progress>, work: impl
     let done = Arc::new(AtomicBool::new(false));
     let watcher = {
         let (bar, done, progress) = (bar.clone(), done.clone(), progress.clone());
+        let title = title.to_string();
         std::thread::spawn(move || {
             while !done.load(Ordering::Relaxed) {
-                bar.set_position(progress.runs.load(Ordering::Relaxed));
+                let runs = progress.runs.load(Ordering::Relaxed);
+                bar.set_position(runs);
+                let title = title.clone();
+                show(Some(Shown { title, runs, total }));
                 if interrupted() {
                     progress.stop.store(true, Ordering::Relaxed);
                 }
@@ -79,6 +106,7 @@ pub fn with_bar<T>(title: &str, total: u64, progress: &Arc<Progress>, work: impl
     done.store(true, Ordering::Relaxed);
     watcher.thread().unpark();
     let _ = watcher.join();
+    show(None);
     bar.finish_and_clear();
     result
 }

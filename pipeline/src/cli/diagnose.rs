@@ -3,7 +3,7 @@
 use super::{ActuatorArg, RecordingArgs, say};
 use crate::case::{self, Case, Settings};
 use crate::map_table;
-use crate::refine::{self, Refined, Start, Test};
+use crate::refine::{self, Refined};
 use crate::report::{self, Report, Section};
 use crate::report_pages;
 use anyhow::Result;
@@ -11,9 +11,8 @@ use clap::Args;
 use diagnoser::diagnosis::{Outcome, parse_known};
 use diagnoser::failure_map::FailureMapSet;
 use diagnoser::map_library::Choice;
-use diagnoser::unit::{BASELINES, UnitFile};
+use diagnoser::unit::UnitFile;
 use schemas::error::EXIT_LOSS;
-use schemas::fault::Interval;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -79,62 +78,6 @@ pub struct DiagnoseArgs {
     actuator: ActuatorArg,
 }
 
-impl DiagnoseArgs {
-    /// The command that makes more of a recording that nothing explains, and what for.
-    fn next(&self, unit: Option<&UnitFile>) -> (String, &'static str) {
-        if let Some((unit, path)) = unit.zip(self.unit.as_deref()).filter(|(u, _)| u.healthy() < BASELINES) {
-            let more = match unit.healthy() {
-                0 => "healthy tests of this very unit: what its model is off by is then known",
-                _ => "more healthy tests of this very unit: three or more also show what its model is off by",
-            };
-            return (format!("ema unit update {} RECORDING... --healthy", quoted(path)), more);
-        }
-        (self.study(unit), "finds what is missing from the model")
-    }
-
-    /// The command that studies this recording.
-    fn study(&self, unit: Option<&UnitFile>) -> String {
-        let of_unit = unit.map(|u| Path::new(&u.source)).filter(|p| p.exists());
-        let model = of_unit.or(self.actuator.path());
-        let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
-        format!(
-            "ema discrepancy --model {model} --bench {} --out study",
-            quoted(&self.file)
-        )
-    }
-}
-
-/// Fits the recording by running the test bench.
-fn refine(a: &DiagnoseArgs, settings: &Settings, case: &Case) -> Result<Refined> {
-    let header = &case.diagnoser.maps.header;
-    let known = parse_known(&a.known, &case.setup.actuator, header.kind.rest_angle_rad)?;
-    let test = Test {
-        setup: &case.setup,
-        nominal: &case.diagnoser.maps.nominal,
-        features: &case.diagnosis.features,
-        spread: &settings.choice.spread,
-        known: &known,
-    };
-    let start = case.diagnosis.outcome.area().map(Start::of);
-    let refined = refine::refine(&test, start, settings.choice.coverage, 0)?;
-    refined.ok_or(crate::Interrupted.into())
-}
-
-fn refined_json(r: &Refined) -> serde_json::Value {
-    let interval =
-        |i: Interval, e: f64, sigma: f64| serde_json::json!({"lo": i.lo, "hi": i.hi, "estimate": e, "sigma": sigma});
-    let cause = |c: &refine::FittedCause| serde_json::json!({"cause": c.cause.key(), "share_of_half_width": c.share, "sigma": c.sigma});
-    serde_json::json!({
-        "fsj": interval(r.fsj, r.estimate.0, r.sigma.0),
-        "zeta": interval(r.zeta, r.estimate.1, r.sigma.1),
-        "correlation": r.correlation,
-        "misfit": r.misfit,
-        "runs": r.runs,
-        "converged": r.converged,
-        "causes": r.causes.iter().map(cause).collect::<Vec<_>>(),
-    })
-}
-
 fn refined_text(r: &Refined, case: &Case) -> String {
     let mut out = format!(
         "refined   FSJ {:.4} in {:.4} .. {:.4}, zeta {:.5} in {:.5} .. {:.5}\n          by {} runs of the test bench{}, misfit {:.1} \
@@ -179,17 +122,6 @@ fn of_unit(unit: &UnitFile) -> String {
         "unit      {}, {taken} test(s) known, {healthy} of them healthy; {relative}",
         unit.name
     )
-}
-
-/// A path as a shell takes it.
-pub(super) fn quoted(path: &std::path::Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,".contains(c);
-    if text.chars().all(plain) {
-        text
-    } else {
-        format!("'{}'", text.replace('\'', "'\\''"))
-    }
 }
 
 /// Diagnoses a table of features, a line a row.
@@ -266,32 +198,19 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         case.by_paper();
     }
     let refined = if a.refine {
-        Some(refine(a, &settings, &case)?)
+        Some(refine::of_case(&case, &settings)?)
     } else {
         None
     };
     // what no pair of faults explains is something that the model does not have
     let unexplained = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. });
-    let next = unexplained.then(|| a.next(settings.unit.as_deref()));
+    let next = unexplained.then(|| {
+        let unit = settings.unit.as_deref().zip(a.unit.as_deref());
+        case::next_command(&a.file, unit, a.actuator.path())
+    });
     if a.json {
-        let mut json = diagnoser::report::to_json(&case.diagnosis);
-        if a.method == Method::Paper {
-            json["method"] = "paper".into();
-        }
-        if let Some(r) = &refined {
-            json["refined"] = refined_json(r);
-        }
-        if let Some(unit) = &settings.unit {
-            json["unit"] = serde_json::json!({
-                "name": unit.name, "tests": unit.taken(), "healthy_tests": unit.healthy(), "reference": unit.reference(),
-            });
-        }
-        if !case.measured.said.is_empty() {
-            json["read"] = case.measured.said.clone().into();
-        }
-        if let Some(next) = &next {
-            json["next_command"] = next.0.clone().into();
-        }
+        let next = next.as_ref().map(|n| n.0.as_str());
+        let json = case::to_json(&case, settings.unit.as_deref(), refined.as_ref(), next);
         say(&json.to_string());
     } else {
         say(&case::to_text(&case));

@@ -55,18 +55,10 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
     let mut cases = Vec::new();
     for test in &a.diagnose {
         let case = discrepancy::diagnose(&study, test)?;
-        cases.extend(case.map(|c| (test, c)));
+        cases.extend(case.map(|c| (test.as_path(), c)));
     }
     if a.json {
-        let mut json = study.findings.to_json();
-        if !a.diagnose.is_empty() {
-            let all = cases.iter().map(|(test, c)| {
-                let mut d = diagnoser::report::to_json(&c.diagnosis);
-                d["recording"] = test.display().to_string().into();
-                d
-            });
-            json["diagnoses"] = all.collect();
-        }
+        let json = discrepancy::to_json(&study.findings, (!a.diagnose.is_empty()).then_some(cases.as_slice()));
         say(&serde_json::to_string_pretty(&json)?);
     } else {
         say(&to_text(&study.findings));

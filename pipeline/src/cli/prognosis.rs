@@ -2,16 +2,15 @@
 
 use super::{ActuatorArg, say};
 use crate::Interrupted;
-use crate::dataset::wear::EVENTS;
 use crate::prognosis::learn::{Ends, Unit, learn, units_of};
 use crate::prognosis::live::foresight;
-use crate::prognosis::margin::{Margin, STALL};
-use crate::prognosis::page::{report, scores};
-use crate::prognosis::read::{End, Sheet, Test, events, history_file, truths};
+use crate::prognosis::page::scores;
+use crate::prognosis::read::{End, Sheet, Test, history_file, truths};
 use crate::prognosis::score::{Scored, score, to_json as score_json, to_text as score_text};
+use crate::prognosis::wanted::{RISK, Wanted, fleets_of, written};
 use crate::prognosis::words::{text, to_json};
-use crate::prognosis::{Asked, Clock, Events, Threshold, Told, clock_of, learn as fleet_file, outlooks, tables};
-use crate::progress::{interrupted, note};
+use crate::prognosis::{Asked, Clock, Events, Threshold, clock_of, learn as fleet_file, outlooks};
+use crate::progress::interrupted;
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::prognosis::Fleet;
@@ -23,9 +22,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
-
-/// Risk that is taken where nobody asks.
-const RISK: f64 = 0.01;
 
 #[derive(Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
@@ -74,7 +70,7 @@ struct PrognosisArgs {
     follow: bool,
 }
 
-#[derive(Args, Default)]
+#[derive(Args)]
 struct WhatArgs {
     /// Fault and the level that ends its life, such as fsj=4 or zeta=0.4; or stall=LOAD, a load torque at the motor such as 0.4Nm that is
     /// no longer moved in time, by simulation; may be repeated. Left out: fsj=4 and zeta=0.4 where the table has them (assumed)
@@ -135,6 +131,19 @@ struct ScoreArgs {
     json: bool,
 }
 
+impl WhatArgs {
+    fn wanted(&self) -> Result<Wanted> {
+        Ok(Wanted {
+            threshold: self.threshold.clone(),
+            actuator: self.actuator.named()?,
+            clock: self.clock,
+            events: self.events.clone(),
+            column: self.column.clone(),
+            healthy: self.healthy,
+        })
+    }
+}
+
 fn risk(text: &str) -> std::result::Result<f64, String> {
     let allowed = "a probability from 0.0001 to 0.5".to_string();
     text.parse().ok().filter(|x| (1e-4..=0.5).contains(x)).ok_or(allowed)
@@ -155,111 +164,6 @@ pub fn prognosis(c: &PrognosisCommand) -> Result<ExitCode> {
     }
 }
 
-/// Where a load is no longer moved, for people.
-fn stall_words(m: &Margin) -> String {
-    let at = |fsj: Option<&f64>| fsj.map_or("-".into(), |f| format!("{f:.2}"));
-    format!(
-        "a load of {} N m at the motor is no longer moved in time from FSJ {} (zeta 0), {} (zeta 0.5) on, by simulation; in time: half of the \
-         healthy speed without a load (assumed). Levels: (FSJ - 1) over the way to it",
-        m.load_n_m,
-        at(m.fsj.first()),
-        at(m.fsj.last())
-    )
-}
-
-/// Thresholds that are named, or those that are usual for the faults that a table has.
-fn thresholds(w: &WhatArgs, table: &Sheet, from_truth: Vec<Threshold>) -> Result<Vec<Threshold>> {
-    let named = w.threshold.iter().map(|text| {
-        if let Some((fault, load)) = text.split_once('=')
-            && fault.trim().eq_ignore_ascii_case(STALL)
-        {
-            let margin = Margin::simulate(&w.actuator.read()?, Margin::load(load)?)?;
-            note(&stall_words(&margin));
-            return Ok(Threshold::stall(margin));
-        }
-        let (fault, level) = match (text.split_once('='), &w.column) {
-            (Some((f, l)), _) => (f.trim().to_ascii_lowercase(), l),
-            (None, Some(c)) => (c.to_ascii_lowercase(), text.as_str()),
-            (None, None) => (String::new(), text.as_str()),
-        };
-        let is_known = ["fsj", "zeta"].contains(&fault.as_str())
-            || w.column.as_ref().is_some_and(|c| c.eq_ignore_ascii_case(&fault));
-        match level.trim().parse::<f64>() {
-            Ok(l) if l.is_finite() && is_known => Ok(Threshold::new(&fault, l, w.healthy)),
-            _ => {
-                let allowed = "FAULT=LEVEL with fsj, zeta or the column of --column and a number, or stall=LOAD such as stall=0.4Nm";
-                Err(Error::bad("command line", "--threshold", text, allowed).into())
-            }
-        }
-    });
-    let named: Vec<Threshold> = named.collect::<Result<_>>()?;
-    for t in &named {
-        if t.healthy.is_some_and(|h| h == t.level) {
-            let allowed = "a level other than the healthy one";
-            return Err(Error::bad(
-                "command line",
-                "--threshold",
-                format!("{}={}", t.fault, t.level),
-                allowed,
-            )
-            .into());
-        }
-    }
-    if !named.is_empty() {
-        return Ok(named);
-    }
-    if !from_truth.is_empty() {
-        return Ok(from_truth);
-    }
-    if w.column.is_some() {
-        return Err(Error::bad(
-            "command line",
-            "--threshold",
-            "nothing",
-            "a level for the column of --column",
-        )
-        .into());
-    }
-    let usual = [("fsj", 4.0), ("zeta", 0.4)].map(|(f, l)| Threshold::new(f, l, None));
-    let found: Vec<Threshold> = usual.into_iter().filter(|t| table.has(&t.fault)).collect();
-    if found.is_empty() {
-        let allowed = "--threshold, with the column that it is for in the table";
-        return Err(Error::bad("command line", "--threshold", "nothing", allowed).into());
-    }
-    let words: Vec<String> = found.iter().map(|t| format!("{}={}", t.fault, t.level)).collect();
-    note(&format!("threshold {} (assumed)", words.join(", ")));
-    Ok(found)
-}
-
-fn asked(w: &WhatArgs, thresholds: Vec<Threshold>, risk: f64, horizon: Option<f64>) -> Asked {
-    let mut horizons = vec![10.0, 20.0, 50.0];
-    horizons.extend(horizon.filter(|h| !horizons.contains(h)));
-    Asked {
-        thresholds,
-        clock: w.clock,
-        risk,
-        horizons,
-    }
-}
-
-/// What is recorded: the file that is named, or what lies in the datasets that histories are of.
-fn events_of(w: &WhatArgs, histories: &[PathBuf]) -> Result<Events> {
-    if let Some(named) = &w.events {
-        return events(named);
-    }
-    let mut all = Events::new();
-    for file in histories.iter().map(|h| h.join(EVENTS)).filter(|f| f.exists()) {
-        for (unit, list) in events(&file)? {
-            all.entry(unit).or_default().extend(list);
-        }
-    }
-    Ok(all)
-}
-
-fn fleets_of(path: Option<&Path>) -> Result<Vec<Fleet>> {
-    path.map_or_else(|| Ok(Vec::new()), fleet_file::read)
-}
-
 /// What the live view foretells from a history, in the usual way.
 ///
 /// # Errors
@@ -270,15 +174,15 @@ pub(super) fn foresight_of(
     events: Option<PathBuf>,
     fleet: Option<&Path>,
 ) -> Result<Foresight> {
-    let w = WhatArgs {
+    let w = Wanted {
         threshold: threshold.to_vec(),
         events,
-        ..WhatArgs::default()
+        ..Wanted::default()
     };
     let table = Sheet::read(&history_file(history)?)?;
-    let asked = asked(&w, thresholds(&w, &table, Vec::new())?, RISK, None);
+    let asked = w.asked(w.thresholds(&table, Vec::new())?, RISK, None);
     let table = asked.prepared(table)?;
-    let events = events_of(&w, &[history.to_path_buf()])?;
+    let events = w.events(&[history.to_path_buf()])?;
     foresight(&table, events, asked, fleets_of(fleet)?)
 }
 
@@ -287,7 +191,8 @@ fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
     let file = history_file(&place)?;
     let mut size = std::fs::metadata(&file).map_or(0, |m| m.len());
     let table = Sheet::read(&file)?;
-    let asked = asked(&a.what, thresholds(&a.what, &table, Vec::new())?, a.risk, a.horizon);
+    let wanted = a.what.wanted()?;
+    let asked = wanted.asked(wanted.thresholds(&table, Vec::new())?, a.risk, a.horizon);
     let mut table = asked.prepared(table)?;
     let fleets = fleets_of(a.fleet.as_deref())?;
     let mut said: BTreeMap<(String, String), usize> = BTreeMap::new();
@@ -296,7 +201,7 @@ fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
         let told = outlooks(
             &file.display().to_string(),
             &units,
-            &events_of(&a.what, std::slice::from_ref(&place))?,
+            &wanted.events(std::slice::from_ref(&place))?,
             &asked,
             &fleets,
         )?;
@@ -308,7 +213,10 @@ fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
             say(&if a.json { to_json(t).to_string() } else { text(t) + "\n" });
         }
         if let Some(dir) = &a.out {
-            written(dir, &told, &fleets, a.json)?;
+            let pages = written(dir, &told, &fleets)?;
+            if !a.json {
+                say_written(&pages, "trends, prognoses, alarms (.parquet)");
+            }
         }
         if !a.follow {
             return Ok(ExitCode::SUCCESS);
@@ -325,16 +233,6 @@ fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
         }
         table = asked.read(&file)?;
     }
-}
-
-fn written(dir: &Path, told: &[Told], fleets: &[Fleet], quiet: bool) -> Result<()> {
-    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
-    tables::write(dir, told)?;
-    let pages = crate::report::write(&report(told, fleets), dir, "report.html")?;
-    if !quiet {
-        say_written(&pages, "trends, prognoses, alarms (.parquet)");
-    }
-    Ok(())
 }
 
 /// * `pages` that were written, the one to be read last
@@ -369,9 +267,10 @@ fn prepared(files: Vec<Sheet>, asked: &Asked) -> Result<Vec<Sheet>> {
 fn learned(a: &LearnArgs) -> Result<ExitCode> {
     let truth = a.truth.as_deref().map(truths).transpose()?.unwrap_or_default();
     let files = tables_of(&a.history)?;
-    let asked = asked(&a.what, thresholds(&a.what, &files[0], Vec::new())?, RISK, None);
+    let wanted = a.what.wanted()?;
+    let asked = wanted.asked(wanted.thresholds(&files[0], Vec::new())?, RISK, None);
     let files = prepared(files, &asked)?;
-    let events = events_of(&a.what, &a.history)?;
+    let events = wanted.events(&a.history)?;
     let (units, clock) = units_by_fault(&files, &events, &asked, None, &truth)?;
     let mut fleets = Vec::new();
     let mut n = 0;
@@ -438,9 +337,10 @@ fn scored(a: &ScoreArgs) -> Result<ExitCode> {
     let truth = truths(&a.truth)?;
     let files = tables_of(&a.history)?;
     let fleets = fleets_of(a.fleet.as_deref())?;
-    let asked = asked(&a.what, thresholds(&a.what, &files[0], named_in(&truth))?, RISK, None);
+    let wanted = a.what.wanted()?;
+    let asked = wanted.asked(wanted.thresholds(&files[0], named_in(&truth))?, RISK, None);
     let files = prepared(files, &asked)?;
-    let events = events_of(&a.what, &a.history)?;
+    let events = wanted.events(&a.history)?;
     let (units, _) = units_by_fault(&files, &events, &asked, fleets.first(), &truth)?;
     let mut rows = String::from("fault,unit,lambda,truth,median,lo,hi,crps\n");
     let (mut objects, mut replayed) = (Vec::new(), Vec::new());

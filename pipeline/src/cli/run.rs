@@ -75,14 +75,12 @@ pub fn faults(fsj: f64, zeta: f64) -> Result<FaultState> {
     FaultState::new(fsj, zeta).map_err(|(place, x, allowed)| Error::bad("command line", place, x, allowed).into())
 }
 
-/// Channels that the test bench gives.
-fn simulated() -> impl Iterator<Item = Channel> {
-    Channel::ALL.iter().copied().filter(|c| *c != Channel::Temperature)
-}
-
 /// Help of `--channels`.
 pub fn additional_channels() -> String {
-    let names: Vec<&str> = simulated().filter(|c| !c.is_basic()).map(Channel::name).collect();
+    let names: Vec<&str> = sim_worker::catalogue::simulated()
+        .filter(|c| !c.is_basic())
+        .map(Channel::name)
+        .collect();
     format!("Additional channels: {} or all", names.join(","))
 }
 
@@ -90,23 +88,6 @@ pub fn additional_channels() -> String {
 pub fn sequences() -> String {
     let names: Vec<&str> = sim_worker::catalogue::sequence_names().collect();
     format!("{}, or a TOML file", names.join(", "))
-}
-
-/// The basic channels and what else is named.
-pub fn channel_set(names: &[String]) -> Result<ChannelSet> {
-    let mut set = ChannelSet::basic();
-    for n in names {
-        if n == "all" {
-            set = ChannelSet::of(simulated());
-            continue;
-        }
-        let c = simulated().find(|c| c.name() == n).ok_or_else(|| {
-            let all: Vec<&str> = simulated().map(Channel::name).collect();
-            Error::bad("command line", "--channels", n, format!("all, {}", all.join(", ")))
-        })?;
-        set = set.with(c);
-    }
-    Ok(set)
 }
 
 pub fn run(a: &RunArgs) -> Result<ExitCode> {
@@ -119,7 +100,7 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
         ..TestSetup::new(actuator, sim_worker::catalogue::sequence(&a.sequence)?, a.rate)
     };
     let (actuator, rest_angle_rad, load_n_m) = (setup.actuator.clone(), setup.rest_angle_rad, setup.load_n_m);
-    let mut channels = channel_set(&a.channels)?;
+    let mut channels = sim_worker::catalogue::channels(&a.channels)?;
     let e = setup.experiment(channels)?;
     if a.model == Model::Sm {
         if fault != FaultState::NOMINAL || load_n_m != 0.0 || e.sensors.is_some() {

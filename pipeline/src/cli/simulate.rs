@@ -71,7 +71,7 @@ pub fn simulate(a: &SimulateArgs) -> Result<ExitCode> {
         load_n_m: super::run::finite("--load-n-m", a.load_n_m)?,
         ..TestSetup::new(a.actuator.read()?, catalogue::sequence(&a.sequence)?, a.rate)
     };
-    let channels = super::run::channel_set(&a.channels)?;
+    let channels = catalogue::channels(&a.channels)?;
     // refuses a rate that no step serves
     setup.experiment(channels)?;
     if let Some(n) = a.jobs {

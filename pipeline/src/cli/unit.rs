@@ -1,16 +1,14 @@
 //! `ema unit`.
 
-use super::diagnose::quoted;
 use super::{ActuatorArg, RecordingArgs, say};
-use crate::case::Settings;
-use crate::unit::{Kinds, Shown, show};
+use crate::case::{Settings, quoted};
+use crate::unit::{Beginning, Kinds, REFERENCE, Shown, begin, constants, show, to_json};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::unit::UnitFile;
-use schemas::error::{EXIT_LOSS, Error};
-use sim_worker::parameters::ActuatorParameters;
+use schemas::error::EXIT_LOSS;
 use sim_worker::spread::Cause;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -77,70 +75,31 @@ pub fn unit(c: &UnitCommand) -> Result<ExitCode> {
         UnitCommand::Update(a) => update(a),
         UnitCommand::Show(a) => {
             let unit = UnitFile::load(&a.unit)?;
-            say(&if a.json { json(&unit).to_string() } else { text(&unit) });
+            say(&if a.json {
+                to_json(&unit).to_string()
+            } else {
+                text(&unit)
+            });
             Ok(ExitCode::SUCCESS)
         }
     }
 }
 
 fn new(a: &NewArgs) -> Result<ExitCode> {
-    if a.unit.exists() {
-        let file = a.unit.display().to_string();
-        return Err(Error::bad(file, "file", "there already", "a file that is not there yet").into());
-    }
-    let named = a.actuator.named()?;
-    let (actuator, source) = match &a.study {
-        Some(dir) => {
-            let file = dir.join("actuator.toml");
-            if !file.exists() {
-                let allowed =
-                    "a study that wrote a model (ema discrepancy --healthy --out); without one leave --study out";
-                return Err(Error::bad(file.display().to_string(), "file", "nothing", allowed).into());
-            }
-            let studied = ActuatorParameters::read(&file)?;
-            same_machine(&file, &studied, named.as_deref())?;
-            (studied, file.display().to_string())
-        }
-        None => {
-            let source = a
-                .actuator
-                .path()
-                .map_or("the reference actuator (values assumed)".into(), |p| {
-                    p.display().to_string()
-                });
-            (a.actuator.read()?.as_ref().clone(), source)
-        }
+    let source = a.actuator.path().map_or(REFERENCE.into(), |p| p.display().to_string());
+    let beginning = Beginning {
+        actuator: a.actuator.named()?.map(|named| (named.as_ref().clone(), source)),
+        study: a.study.clone(),
+        spread: sim_worker::catalogue::spread(&a.spread)?,
+        name: a.name.clone(),
     };
-    let stem = || {
-        a.unit
-            .file_stem()
-            .map_or_else(|| "unit".into(), |s| s.to_string_lossy().into_owned())
-    };
-    let name = a.name.clone().unwrap_or_else(stem);
-    let unit = UnitFile::new(name, source, actuator, sim_worker::catalogue::spread(&a.spread)?);
-    unit.save(&a.unit)?;
+    let unit = begin(&a.unit, beginning)?;
     say(&text(&unit));
     say(&format!(
         "next      ema unit update {} RECORDING... --healthy",
         quoted(&a.unit)
     ));
     Ok(ExitCode::SUCCESS)
-}
-
-/// Refuses a study of another machine than the one that was named: what no study changes is the same in both.
-fn same_machine(file: &Path, studied: &ActuatorParameters, named: Option<&ActuatorParameters>) -> Result<()> {
-    let Some(named) = named else { return Ok(()) };
-    let fixed = |a: &ActuatorParameters| [f64::from(a.pole_pairs), a.gear_ratio, a.supply_voltage_v];
-    for (place, (found, allowed)) in ["pole pairs", "gear ratio", "supply voltage [V]"]
-        .into_iter()
-        .zip(fixed(studied).into_iter().zip(fixed(named)))
-    {
-        if found != allowed {
-            let allowed = format!("{allowed}, of the actuator that --actuator names");
-            return Err(Error::bad(file.display().to_string(), place, found, allowed).into());
-        }
-    }
-    Ok(())
 }
 
 fn update(a: &UpdateArgs) -> Result<ExitCode> {
@@ -178,45 +137,16 @@ fn update(a: &UpdateArgs) -> Result<ExitCode> {
         }
         shown.push(what);
     }
-    say(&if a.json { json(&unit).to_string() } else { text(&unit) });
+    say(&if a.json {
+        to_json(&unit).to_string()
+    } else {
+        text(&unit)
+    });
     let refused = shown.iter().any(|s| matches!(s, Shown::Refused(_)));
     Ok(if refused {
         ExitCode::from(EXIT_LOSS)
     } else {
         ExitCode::SUCCESS
-    })
-}
-
-/// Constants: cause, deviation and standard deviation now, standard deviation before any test.
-fn constants(unit: &UnitFile) -> Vec<(Cause, f64, f64, f64)> {
-    let prior = unit.prior();
-    let one = |c: &Cause| {
-        let (mean, sd) = unit.constants.of(*c)?;
-        Some((*c, mean, sd, prior.of(*c)?.1))
-    };
-    unit.constants.causes.iter().filter_map(one).collect()
-}
-
-fn json(unit: &UnitFile) -> serde_json::Value {
-    let constant = |(c, mean, sd, before): (Cause, f64, f64, f64)| serde_json::json!({"cause": c.key(), "deviation": mean, "sigma": sd, "sigma_before": before});
-    let test = |t: &diagnoser::unit::TestEntry| {
-        let interval =
-            |i: Option<(f64, f64, f64)>| i.map(|(lo, e, hi)| serde_json::json!({"lo": lo, "estimate": e, "hi": hi}));
-        serde_json::json!({
-            "file": t.file, "healthy": t.healthy, "taken": t.is_taken(), "outcome": t.outcome, "reason": t.reason,
-            "fsj": interval(t.fsj), "zeta": interval(t.zeta), "checksum": t.checksum, "commit": t.commit,
-        })
-    };
-    let last = unit.tests.iter().rev().find(|t| t.fsj.is_some());
-    serde_json::json!({
-        "name": unit.name,
-        "model": unit.source,
-        "tests": unit.taken(),
-        "healthy_tests": unit.healthy(),
-        "reference": unit.reference(),
-        "constants": constants(unit).into_iter().map(constant).collect::<Vec<_>>(),
-        "present": last.map(test),
-        "history": unit.tests.iter().map(test).collect::<Vec<_>>(),
     })
 }
 

@@ -7,6 +7,7 @@ pub mod page;
 pub mod read;
 pub mod score;
 pub mod tables;
+pub mod wanted;
 pub mod words;
 
 use anyhow::Result;
