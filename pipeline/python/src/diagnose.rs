@@ -95,6 +95,7 @@ pub fn diagnose<'py>(
             maps,
             run,
             sequence,
+            channels: None,
             sensors,
             grid: catalogue::grid(&grid)?,
             choice: Choice::usual(),

@@ -15,7 +15,7 @@ use pyo3::exceptions::{PyBufferError, PyImportError, PyKeyError, PyTypeError};
 use pyo3::ffi;
 use pyo3::prelude::*;
 use pyo3::types::{PyCapsule, PyDict, PyList, PyMapping, PyMemoryView, PyTuple};
-use schemas::recording::table_bytes;
+use schemas::table::table_bytes;
 use std::collections::HashMap;
 use std::ffi::{CStr, c_int, c_void};
 use std::path::PathBuf;
