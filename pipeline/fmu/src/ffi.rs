@@ -549,7 +549,7 @@ pub unsafe extern "C" fn fmi2DeSerializeFMUstate(
         let call = "fmi2DeSerializeFMUstate";
         // SAFETY: as the caller promises
         let bytes = unsafe { slice(&s.instance, call, bytes.cast::<u8>(), size) }?;
-        let moment = s.instance.from_bytes(bytes)?;
+        let moment = s.instance.moment_of(bytes)?;
         // SAFETY: as the caller promises
         unsafe { keep(s, state, moment, call) }
     })

@@ -502,9 +502,9 @@ impl Instance {
     ///
     /// # Errors
     /// Bytes of another FMU, too few, too many, or values that are not allowed.
-    pub fn from_bytes(&self, bytes: &[u8]) -> Result<Moment> {
+    pub fn moment_of(&self, bytes: &[u8]) -> Result<Moment> {
         let bad = |found: &str| self.bad("serialized state", found, "the bytes of a state of this very FMU");
-        let (own, head) = (guid(&self.actuator), MAGIC.len());
+        let own = guid(&self.actuator);
         let rest = bytes
             .strip_prefix(&MAGIC[..])
             .and_then(|b| b.strip_prefix(own.as_bytes()))
@@ -513,7 +513,7 @@ impl Instance {
         let numbers: Vec<f64> = numbers.iter().map(|b| f64::from_le_bytes(*b)).collect();
         let (values, fixed) = (self.variables.len(), 5 + self.variables.len() + 2 * INPUTS);
         if !torn.is_empty() || numbers.len() < fixed {
-            return Err(bad(&format!("{} bytes", bytes.len().max(head))));
+            return Err(bad(&format!("{} bytes", bytes.len())));
         }
         let mut m = Self::first(&self.variables);
         m.phase = *Phase::ALL
@@ -654,7 +654,7 @@ mod tests {
         i.go_to(&kept);
         assert_eq!(first, go(&mut i));
         let mut other = new(&actuator());
-        other.go_to(&other.from_bytes(&bytes).unwrap());
+        other.go_to(&other.moment_of(&bytes).unwrap());
         assert_eq!(first, go(&mut other));
         other.reset();
         assert_eq!(
@@ -663,12 +663,12 @@ mod tests {
         );
 
         for wrong in [&bytes[..10], &bytes[..bytes.len() - 1], &bytes[..bytes.len() - 8], &[]] {
-            refused(other.from_bytes(wrong), &["state"]);
+            refused(other.moment_of(wrong), &["state"]);
         }
         let mut nan = bytes.clone();
         nan[46 + 5 * 8..46 + 6 * 8].copy_from_slice(&f64::NAN.to_le_bytes());
-        refused(other.from_bytes(&nan), &["not allowed"]);
-        refused(new(&ActuatorParameters::reference()).from_bytes(&bytes), &["guid"]);
+        refused(other.moment_of(&nan), &["not allowed"]);
+        refused(new(&ActuatorParameters::reference()).moment_of(&bytes), &["guid"]);
     }
 
     #[test]
