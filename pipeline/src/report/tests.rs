@@ -20,6 +20,8 @@ fn map(curves: Vec<Curve>, band: Option<Band>) -> Figure {
         curves,
         knots: vec![(1.0, f64::NAN)],
         band,
+        truth: Some((1.0, f64::NAN)),
+        estimate: None,
     })
 }
 
@@ -31,8 +33,9 @@ fn region(regions: Vec<(String, Vec<Strip>)>, area: Vec<Strip>) -> RegionPlot {
         regions,
         area,
         hull: None,
-        truth: None,
-        estimate: None,
+        truth: Vec::new(),
+        estimate: Vec::new(),
+        notes: Vec::new(),
     }
 }
 
@@ -56,6 +59,7 @@ fn report(figures: Vec<(String, Figure)>) -> Report {
         text: "one\n\n- two\n- <u>\nmore".into(),
         tables: vec![table],
         figures,
+        ..Section::default()
     };
     let facts = vec![("<f>".into(), "'v'".into())];
     Report {
@@ -63,6 +67,7 @@ fn report(figures: Vec<(String, Figure)>) -> Report {
         summary: "S <em>".into(),
         facts,
         sections: vec![section],
+        ..Report::default()
     }
 }
 
@@ -76,8 +81,8 @@ fn empty_or_broken_data_does_not_panic() {
     odd.fsj_range = (nan, 1.0);
     odd.zeta_range = (0.2, 0.2);
     odd.hull = Some(((nan, 2.0), (f64::INFINITY, 0.1)));
-    odd.truth = Some((nan, 0.1));
-    odd.estimate = Some((9.0, 9.0));
+    odd.truth = vec![(nan, 0.1)];
+    odd.estimate = vec![(9.0, 9.0)];
     let band = Some(Band {
         value: 1.0,
         half_width: f64::INFINITY,
@@ -124,13 +129,7 @@ fn empty_or_broken_data_does_not_panic() {
         let text = svg(figure).expect("drawn");
         assert!(text.ends_with("</svg>\n") && !text.contains("NaN"), "{text}");
     }
-    let blank = Report {
-        title: String::new(),
-        summary: String::new(),
-        facts: vec![],
-        sections: vec![],
-    };
-    assert!(html(&blank).expect("set").contains("</html>"));
+    assert!(html(&Report::default()).expect("set").contains("</html>"));
 }
 
 #[test]
