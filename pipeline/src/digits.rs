@@ -23,7 +23,11 @@ pub fn fixed(x: f64, half_width: f64) -> String {
 pub fn scientific(x: f64, half_width: f64) -> String {
     let decade = |v: f64| (v.abs() * 1.00001).log10().floor();
     let digits = decade(x) - decade(half_width) + 1.0;
-    let digits = if digits.is_finite() { digits.clamp(0.0, 6.0) } else { 6.0 };
+    let digits = if digits.is_finite() {
+        digits.clamp(0.0, 6.0)
+    } else {
+        6.0
+    };
     format!("{x:.*e}", digits as usize)
 }
 

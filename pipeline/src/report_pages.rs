@@ -165,7 +165,12 @@ fn plane(diagnoser: &Diagnoser, d: &Diagnosis) -> RegionPlot {
 }
 
 /// The maps of a diagnosis with their cuts, those of the paper first.
-fn cut_maps(stem: &str, diagnoser: &Diagnoser, d: &Diagnosis, truth: Option<FaultState>) -> Vec<(Feature, (String, Figure))> {
+fn cut_maps(
+    stem: &str,
+    diagnoser: &Diagnoser,
+    d: &Diagnosis,
+    truth: Option<FaultState>,
+) -> Vec<(Feature, (String, Figure))> {
     let area = d.outcome.area();
     let one = |m: &FailureMap| {
         let n = (m.fsj.len() / 2, m.zeta.len() / 2);
@@ -175,7 +180,10 @@ fn cut_maps(stem: &str, diagnoser: &Diagnoser, d: &Diagnosis, truth: Option<Faul
         let mut plot = map_plot(m, d.features.get(m.feature).map(|v| (v, half)));
         plot.truth = truth.map(|t| value_of(m, (t.fsj, t.zeta)));
         plot.estimate = area.map(|a| value_of(m, a.centroid));
-        (m.feature, (format!("{stem}_map_{}", m.feature.name()), Figure::Map(plot)))
+        (
+            m.feature,
+            (format!("{stem}_map_{}", m.feature.name()), Figure::Map(plot)),
+        )
     };
     let mut all: Vec<_> = diagnoser.maps.maps.iter().map(one).collect();
     all.sort_by_key(|m| !of_paper(m.0));

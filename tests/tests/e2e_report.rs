@@ -38,7 +38,12 @@ fn page_of(file: &str, dir: &Path) -> (String, String) {
 
 /// What stands before the contents.
 fn first_screen(page: &str) -> &str {
-    page.split_once("<nav").expect("contents").0.split_once("<h1>").unwrap().1
+    page.split_once("<nav")
+        .expect("contents")
+        .0
+        .split_once("<h1>")
+        .unwrap()
+        .1
 }
 
 fn holds(place: &str, words: &[&str]) {
@@ -55,14 +60,19 @@ fn without_figures(page: &str) -> String {
 
 /// No script, no font, picture or style from elsewhere; light enough to be mailed; it can be dark and be printed.
 fn self_contained(page: &str, most: usize) {
-    for foreign in ["<script", "<link", "<img", "<iframe", "src=", "url(", "@import", "NaN", "\u{e000}"] {
+    for foreign in [
+        "<script", "<link", "<img", "<iframe", "src=", "url(", "@import", "NaN", "\u{e000}",
+    ] {
         assert!(!page.contains(foreign), "{foreign}");
     }
     let addresses = page.matches("://").count();
     assert_eq!(addresses, page.matches("xmlns=\"http://www.w3.org/2000/svg\"").count());
     assert!(page.len() < most, "{} bytes", page.len());
     assert_eq!(page.matches("<style>").count(), 1, "one shell, one style");
-    holds(page, &["prefers-color-scheme: dark", "@media print", "name=\"viewport\""]);
+    holds(
+        page,
+        &["prefers-color-scheme: dark", "@media print", "name=\"viewport\""],
+    );
     // figures have no ground of their own
     assert!(!page.contains("<rect x=\"0\" y=\"0\""), "a ground under a figure");
 }
@@ -73,15 +83,21 @@ fn e2e_a_fault_is_told_with_how_sure_and_what_next() {
     let file = recorded(dir.path(), "run.csv", "3", "0.3");
     let out = dir.path().join("page");
     let (said, page) = page_of(&file, &out);
-    holds(&said, &["FSJ       2.99", &format!("page      {}", text(&out.join("diagnosis.html")))]);
+    holds(
+        &said,
+        &[
+            "FSJ       2.99",
+            &format!("page      {}", text(&out.join("diagnosis.html"))),
+        ],
+    );
     holds(
         first_screen(&page),
         &[
             "Located: friction and eccentricity",
             "3.00 times its healthy dry friction",
-            "30.0 % of the air gap",
+            "30.0&nbsp;% of the air gap",
             "How sure",
-            "95 % of tests",
+            "95&nbsp;% of tests",
             "512 simulated tests",
             "What next",
             "ema prognosis",
@@ -112,7 +128,12 @@ fn e2e_a_healthy_test_says_so() {
     let (_, page) = page_of(&file, &dir.path().join("page"));
     holds(
         first_screen(&page),
-        &["Located: healthy", "No fault found", "would not be seen", "ema unit new"],
+        &[
+            "Located: healthy",
+            "No fault found",
+            "would not be seen",
+            "ema unit new",
+        ],
     );
 }
 
@@ -140,7 +161,12 @@ fn e2e_what_cannot_be_told_says_what_is_missing() {
     let (_, page) = page_of(text(&cut), &dir.path().join("page"));
     holds(
         first_screen(&page),
-        &["Incomplete", "What is missing", "Record the whole test again", "&lt;i&gt;cut-7 &amp; more.csv"],
+        &[
+            "Incomplete",
+            "What is missing",
+            "Record the whole test again",
+            "&lt;i&gt;cut-7 &amp; more.csv",
+        ],
     );
     assert!(!page.contains("<i>"));
 }

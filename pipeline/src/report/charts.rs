@@ -6,11 +6,9 @@ use plotters::style::text_anchor::HPos;
 
 use super::canvas::{Canvas, Entry, Mark, Plot, SMALL, Setup, render, text_width};
 use super::scale::{
-    Pt, clip_line, clip_polygon, decimate, fixed, number, pad, places, simplify, span, spread, tolerance, usable, widen,
+    Pt, clip_line, clip_polygon, decimate, fixed, pad, places, simplify, span, spread, tolerance, usable, widen,
 };
-use super::theme::{
-    AREA, BAND, BAND_TEXT, ESTIMATE, FRAME, INK, REGIONS, SERIES, TRUTH, WHITE, sequential,
-};
+use super::theme::{AREA, BAND, BAND_TEXT, ESTIMATE, FRAME, INK, REGIONS, SERIES, TRUTH, WHITE, sequential};
 use super::{Band, Figure, MapPlot, RegionPlot, Strip, TracePlot, sketch};
 
 const WIDE: (u32, u32) = (720, 460);
@@ -222,9 +220,9 @@ fn region(canvas: &Canvas, map: &RegionPlot, titled: bool) -> Result<()> {
     let named = |name: &str, p: Pt| {
         let hint = if visible(p) { "" } else { ", outside" };
         // as many digits as the interval warrants, and not more than a legend has room for
-        let digits = map
-            .hull
-            .map_or((2, 3), |((fa, fb), (za, zb))| (decimals(fb - fa, 3), decimals(zb - za, 4)));
+        let digits = map.hull.map_or((2, 3), |((fa, fb), (za, zb))| {
+            (decimals(fb - fa, 3), decimals(zb - za, 4))
+        });
         format!("{name} ({}, {}){hint}", fixed(p.0, digits.0), fixed(p.1, digits.1))
     };
     let entry = |mark, color, label: String| Entry { mark, color, label };
@@ -322,12 +320,6 @@ fn region(canvas: &Canvas, map: &RegionPlot, titled: bool) -> Result<()> {
         canvas.dashes(plot.at((p.0, y0)), plot.at(*p), ESTIMATE, 1.0)?;
         canvas.dashes(plot.at((x0, p.1)), plot.at(*p), ESTIMATE, 1.0)?;
     }
-    for p in map.truth.iter().filter(|p| visible(**p)) {
-        canvas.triangle(plot.at(*p), 9.0, TRUTH)?;
-    }
-    for p in map.estimate.iter().filter(|p| visible(**p)) {
-        canvas.dot(plot.at(*p), 4.5, ESTIMATE)?;
-    }
     for (p, text) in map.notes.iter().filter(|n| visible(n.0)) {
         let (x, y) = plot.at(*p);
         canvas.disc((x, y), 2.0, INK, 1.0)?;
@@ -338,6 +330,12 @@ fn region(canvas: &Canvas, map: &RegionPlot, titled: bool) -> Result<()> {
             (x + 10.0, HPos::Left)
         };
         canvas.text(text, (x, (y - 11.0).max(plot.top + 10.0)), SMALL, INK, anchor)?;
+    }
+    for p in map.truth.iter().filter(|p| visible(**p)) {
+        canvas.triangle(plot.at(*p), 9.0, TRUTH)?;
+    }
+    for p in map.estimate.iter().filter(|p| visible(**p)) {
+        canvas.dot(plot.at(*p), 4.5, ESTIMATE)?;
     }
     Ok(())
 }

@@ -30,7 +30,9 @@ pub(super) fn page(report: &Report) -> Result<String> {
     }
     prose(&mut out, &report.summary)?;
     if report.sections.iter().any(|s| !s.folded.is_empty()) {
-        out.push_str("<p class=\"note paper-only\">Folded parts are not printed; unfold them on the screen first.</p>\n");
+        out.push_str(
+            "<p class=\"note paper-only\">Folded parts are not printed; unfold them on the screen first.</p>\n",
+        );
     }
     out.push_str("</header>\n");
     let about = (!report.facts.is_empty()).then_some(FACTS);
@@ -55,7 +57,10 @@ pub(super) fn page(report: &Report) -> Result<String> {
     }
     if about.is_some() {
         let n = titles.len();
-        writeln!(out, "<section id=\"section-{n}\">\n<h2>{n}. {FACTS}</h2>\n<dl class=\"facts\">")?;
+        writeln!(
+            out,
+            "<section id=\"section-{n}\">\n<h2>{n}. {FACTS}</h2>\n<dl class=\"facts\">"
+        )?;
         for (name, value) in &report.facts {
             writeln!(out, "<div><dt>{}</dt><dd>{}</dd></div>", flowing(name), flowing(value))?;
         }
@@ -85,7 +90,10 @@ fn lead(out: &mut String, lead: &Lead) -> Result<()> {
     )?;
     if !lead.points.is_empty() {
         out.push_str("<dl>\n");
-        for p in &lead.points {
+        for (i, p) in lead.points.iter().enumerate() {
+            if i == 1 {
+                terms(out, &lead.terms)?;
+            }
             write!(out, "<div><dt>{}</dt><dd>{}", flowing(&p.label), flowing(&p.text))?;
             if let Some(command) = &p.command {
                 write!(out, "<pre class=\"wrap\"><code>{}</code></pre>", escape(command.trim()))?;
@@ -94,19 +102,29 @@ fn lead(out: &mut String, lead: &Lead) -> Result<()> {
         }
         out.push_str("</dl>\n");
     }
-    if !lead.terms.is_empty() {
-        out.push_str("<p class=\"terms\">");
-        for (name, rest) in &lead.terms {
-            writeln!(out, "<b>{}</b> {}", flowing(name), flowing(rest))?;
-        }
-        out.push_str("</p>\n");
-    }
     out.push_str("</div>\n");
     if let Some((stem, f)) = &lead.figure {
-        let caption = if lead.caption.is_empty() { f.title() } else { &lead.caption };
+        let caption = if lead.caption.is_empty() {
+            f.title()
+        } else {
+            &lead.caption
+        };
         figure(out, stem, f, caption, false)?;
     }
     out.push_str("</div>\n");
+    Ok(())
+}
+
+/// What the names mean that the first point uses.
+fn terms(out: &mut String, terms: &[(String, String)]) -> Result<()> {
+    if terms.is_empty() {
+        return Ok(());
+    }
+    out.push_str("<div class=\"terms\"><dt>The names</dt><dd>");
+    for (name, rest) in terms {
+        writeln!(out, "<b>{}</b> {}", flowing(name), flowing(rest))?;
+    }
+    out.push_str("</dd></div>\n");
     Ok(())
 }
 
@@ -188,7 +206,9 @@ fn unbroken(text: &str, is_name: impl Fn(&str) -> bool) -> String {
             escape(piece)
         }
     };
-    text.split_inclusive(char::is_whitespace).map(part).collect()
+    let all: String = text.split_inclusive(char::is_whitespace).map(part).collect();
+    // a percentage is one word too
+    all.replace(" %", "&nbsp;%")
 }
 
 /// Plain text as paragraphs and lists.

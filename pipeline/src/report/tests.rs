@@ -152,6 +152,64 @@ fn texts_are_escaped() {
 }
 
 #[test]
+fn the_conclusion_comes_first_and_names_stay_whole() {
+    let point = |label: &str, command: Option<&str>| Point {
+        label: label.into(),
+        text: "aileron-2 <b>".into(),
+        command: command.map(String::from),
+    };
+    let lead = Lead {
+        tone: Tone::Fault,
+        kind: "Located".into(),
+        finding: "1.5 % & more".into(),
+        points: vec![point("Found", None), point("What next", Some("ema <i>"))],
+        terms: vec![("FSJ".into(), "is friction.".into())],
+        figure: Some(("plane".into(), Figure::Region(region(vec![], vec![])))),
+        caption: "where".into(),
+    };
+    let folded = Section {
+        title: "Maps".into(),
+        figures: vec![("one".into(), trace(vec![]))],
+        captions: vec![("one".into(), "in other words".into())],
+        ..Section::default()
+    };
+    let report = Report {
+        title: "T".into(),
+        lead: Some(lead),
+        sections: vec![Section {
+            title: "left-aileron, fsj".into(),
+            folded: vec![folded],
+            ..Section::default()
+        }],
+        facts: vec![("a".into(), "b".into())],
+        ..Report::default()
+    };
+    let page = html(&report).expect("set");
+    let place = |words: &str| page.find(words).unwrap_or_else(|| panic!("no {words}"));
+    let order = [
+        "class=\"lead fault\"",
+        "1.5&nbsp;% &amp; more",
+        "<b>FSJ</b> is friction.",
+        "ema &lt;i&gt;",
+        "where",
+        "<nav",
+        "<summary>Maps",
+        "in other words",
+    ];
+    assert!(order.windows(2).all(|w| place(w[0]) < place(w[1])));
+    for name in [
+        "<span class=\"name\">aileron-2</span>",
+        "<span class=\"name\">left-aileron,</span> fsj",
+    ] {
+        assert!(page.contains(name), "{name}");
+    }
+    // a figure that is folded is a file too
+    let dir = std::env::temp_dir().join(format!("report-lead-{}", std::process::id()));
+    assert_eq!(write(&report, &dir, "page.html").expect("written").len(), 3);
+    fs::remove_dir_all(&dir).expect("removed");
+}
+
+#[test]
 fn decimation_keeps_extremes_and_gaps() {
     let mut points: Vec<(f64, f64)> = (0..30_000)
         .map(|i| (f64::from(i) * 1e-4, (f64::from(i) * 0.01).sin()))

@@ -118,15 +118,25 @@ fn located(case: &Case, a: &Area, around: &Around) -> Lead {
     }
     let (f, z) = healthy(a);
     let (kind, finding, tone) = match (f, z) {
-        (true, true) => ("Located: healthy", "No fault found: friction and rotor are as in a healthy actuator.".into(), Tone::Good),
+        (true, true) => (
+            "Located: healthy",
+            "No fault found: friction and rotor are as in a healthy actuator.".into(),
+            Tone::Good,
+        ),
         (true, false) => (
             "Located: eccentricity",
-            format!("The rotor stands off centre by {} of the air gap; friction is healthy.", percent(a)),
+            format!(
+                "The rotor stands off centre by {} of the air gap; friction is healthy.",
+                percent(a)
+            ),
             Tone::Fault,
         ),
         (false, true) => (
             "Located: friction",
-            format!("The transmission has {} times its healthy dry friction; the rotor is centred.", times(a)),
+            format!(
+                "The transmission has {} times its healthy dry friction; the rotor is centred.",
+                times(a)
+            ),
             Tone::Fault,
         ),
         (false, false) => (
@@ -185,17 +195,22 @@ pub(crate) fn sure(case: &Case) -> String {
                 c.runs
             )
         }
-        None => format!("The intervals are designed to hold the true pair in {percent:.0} % of tests; nothing has calibrated that."),
+        None => format!(
+            "The intervals are designed to hold the true pair in {percent:.0} % of tests; nothing has calibrated that."
+        ),
     };
-    let fit = d.misfit.filter(|m| m.0.is_finite() && m.1.is_finite()).map(|(q, most)| {
-        format!(
-            " All maps agree (misfit {:.1}, unexplained from {:.1} on).",
-            q.max(0.0).sqrt(),
-            most.max(0.0).sqrt()
-        )
-    });
+    let fit = d
+        .misfit
+        .filter(|m| m.0.is_finite() && m.1.is_finite())
+        .map(|(q, most)| {
+            format!(
+                " All maps agree (misfit {:.1}, unexplained from {:.1} on).",
+                q.max(0.0).sqrt(),
+                most.max(0.0).sqrt()
+            )
+        });
     format!(
-        "{promise}{} It holds for the real actuator as far as the model does.",
+        "{promise}{} That holds for a real actuator as far as the model does.",
         fit.unwrap_or_default()
     )
 }

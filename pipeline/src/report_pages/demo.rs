@@ -69,7 +69,10 @@ fn of_cases(r: &DemoResult) -> (String, String) {
     let located = r.table.iter().filter(|c| c.case.diagnosis.outcome.area().is_some());
     let error = |exact: f64, found: f64| 100.0 * (exact - found).abs() / exact;
     let worst = located.fold((0.0f64, 0.0f64), |w, c| {
-        let (t, a) = (c.truth(), c.case.diagnosis.outcome.area().map_or((0.0, 0.0), |a| a.centroid));
+        let (t, a) = (
+            c.truth(),
+            c.case.diagnosis.outcome.area().map_or((0.0, 0.0), |a| a.centroid),
+        );
         (w.0.max(error(t.fsj, a.0)), w.1.max(error(t.zeta, a.1)))
     });
     let whole = if inside == n {
@@ -206,7 +209,7 @@ pub fn report(r: &DemoResult) -> Report {
     let (actuator, sequence) = (&e.actuator, &e.sequence);
     let sensors = e.sensors.as_ref().map_or("none", |s| &s.name);
     let mut sections = Vec::new();
-    for (path, case) in &r.own {
+    if let Some((path, case)) = &r.own {
         let shown = own_shown(case);
         let measured = measured_section("", &shown);
         sections.push(Section {
@@ -218,7 +221,12 @@ pub fn report(r: &DemoResult) -> Report {
     sections.push(Section {
         title: "The paper\u{2019}s four cases".into(),
         tables: vec![table_i(r)],
-        folded: r.table.iter().enumerate().map(|(i, c)| case_section(i + 1, c)).collect(),
+        folded: r
+            .table
+            .iter()
+            .enumerate()
+            .map(|(i, c)| case_section(i + 1, c))
+            .collect(),
         ..Section::default()
     });
     sections.push(maps(r));

@@ -55,9 +55,17 @@ fn sine(r: &DemoResult, sm: &MonitorTrack) -> Option<Named> {
     let s = e.sequence.segments.iter().find(sine)?;
     let within = s.start_s..=s.start_s + s.duration_s;
     let title = "Position of NTB and SM in the sine, nominal condition";
-    let mut plot = traces(title, "user position", &[("NTB", &r.healthy)], e.rate_hz, Channel::ThetaU);
+    let mut plot = traces(
+        title,
+        "user position",
+        &[("NTB", &r.healthy)],
+        e.rate_hz,
+        Channel::ThetaU,
+    );
+    // the command lies under what follows it
+    plot.series
+        .insert(0, ("command".into(), over_time(&sm.com_rad, e.rate_hz)));
     plot.series.push(("SM".into(), over_time(&sm.theta_u_rad, e.rate_hz)));
-    plot.series.push(("command".into(), over_time(&sm.com_rad, e.rate_hz)));
     for (_, points) in &mut plot.series {
         points.retain(|p| within.contains(&p.0));
     }
@@ -149,7 +157,9 @@ pub(super) fn maps(r: &DemoResult) -> Section {
         figures,
         captions,
         folded: vec![Section {
-            title: "Maps of the further features (the ripple falls slightly with FSJ, the others rise with both faults)".into(),
+            title:
+                "Maps of the further features (the ripple falls slightly with FSJ, the others rise with both faults)"
+                    .into(),
             figures: others,
             ..Section::default()
         }],

@@ -15,7 +15,7 @@ use std::path::Path;
 
 /// What the paper's three maps show, where they are first met.
 pub(super) const THREE: &str = "P1 is the RMS error of the speed in the step, P2 that of the current in the sine, P3 the command \
-                                at which the ramp sets the actuator in motion over that of the nominal run.";
+                                at which the ramp sets the actuator in motion, relative to the nominal run.";
 
 /// A case that is to be shown.
 pub(crate) struct Shown<'a> {
@@ -60,7 +60,11 @@ pub(super) fn area_section(title: &str, shown: &Shown) -> Section {
         let plot = region_plot(title, &case.diagnoser, d, shown.truth, zoom);
         (format!("{}_{name}", shown.stem), Figure::Region(plot))
     };
-    let mut figures = vec![plot("region", "Bands of all features in the plane of the faults", false)];
+    let mut figures = vec![plot(
+        "region",
+        "Bands of all features in the plane of the faults",
+        false,
+    )];
     if d.outcome.area().is_some() {
         figures.insert(0, plot("area", "Located area, enlarged", true));
     }
@@ -84,7 +88,11 @@ fn features(case: &Case) -> Table {
         let (lo, hi) = m.range();
         let at = d.outcome.area().map_or((m.fsj[0], m.zeta[0]), |a| a.centroid);
         let half = band * case.diagnoser.uncertainty(f, at.0, at.1).unwrap_or(f64::NAN);
-        let told = if half.is_finite() { digits::fixed(half, half) } else { "-".into() };
+        let told = if half.is_finite() {
+            digits::fixed(half, half)
+        } else {
+            "-".into()
+        };
         let cells = vec![
             f.name().to_string(),
             f.title().into(),
@@ -95,7 +103,14 @@ fn features(case: &Case) -> Table {
         ];
         Some(TableRow { cells, emphasis: false })
     };
-    let header = ["feature", "what it is", "measured", "\u{b1}", "unit", "range of the map"];
+    let header = [
+        "feature",
+        "what it is",
+        "measured",
+        "\u{b1}",
+        "unit",
+        "range of the map",
+    ];
     Table {
         caption: "Features of the recording".into(),
         header: header.map(String::from).to_vec(),
@@ -112,12 +127,15 @@ pub(super) fn measured_section(title: &str, shown: &Shown) -> Section {
         ("Maps and cuts: P1, P2, P3", three, Layout::Three),
         ("Maps and cuts of the other features", others, Layout::Three),
     ];
-    let folded = folded.into_iter().filter(|f| !f.1.is_empty()).map(|(title, maps, layout)| Section {
-        title: title.into(),
-        figures: maps.into_iter().map(|m| m.1).collect(),
-        layout,
-        ..Section::default()
-    });
+    let folded = folded
+        .into_iter()
+        .filter(|f| !f.1.is_empty())
+        .map(|(title, maps, layout)| Section {
+            title: title.into(),
+            figures: maps.into_iter().map(|m| m.1).collect(),
+            layout,
+            ..Section::default()
+        });
     Section {
         title: title.into(),
         tables: vec![features(shown.case)],
