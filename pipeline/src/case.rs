@@ -1,5 +1,6 @@
 //! Diagnosis of one recording, offline: the same extractor, maps and inversion that fly.
 
+use crate::digits;
 use crate::input::{self, How, Measured};
 use crate::maps::{self, MapRequest};
 use crate::refine::{self, Refined};
@@ -12,7 +13,7 @@ use diagnoser::unit::{BASELINES, UnitFile};
 use ema_tables::ChannelMap;
 use schemas::channel::Channel;
 use schemas::error::Error;
-use schemas::fault::FaultGrid;
+use schemas::fault::{FaultGrid, Interval};
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::test_kind::TestKind;
 use serde_json::Value;
@@ -398,7 +399,12 @@ fn coverage(case: &Case) -> String {
     }
 }
 
-/// The diagnosis for a person.
+/// An estimate and the ends of its interval, to two digits of the interval's half-width.
+pub(crate) fn three(estimate: f64, i: Interval) -> [String; 3] {
+    [estimate, i.lo, i.hi].map(|x| digits::fixed(x, 0.5 * i.width()))
+}
+
+/// The diagnosis for a person, each number to as many digits as its uncertainty leaves; JSON has them all.
 pub fn to_text(case: &Case) -> String {
     let d = &case.diagnosis;
     let mut out = String::new();
@@ -409,25 +415,17 @@ pub fn to_text(case: &Case) -> String {
     match &d.outcome {
         Outcome::Located(a) | Outcome::Incomplete { area: Some(a), .. } => {
             line(format!("outcome   {}", d.outcome.name().replace('_', " ")));
-            line(format!(
-                "FSJ       {:.4}   in {:.4} .. {:.4}",
-                a.centroid.0, a.fsj.lo, a.fsj.hi
-            ));
-            line(format!(
-                "zeta      {:.5}  in {:.5} .. {:.5}",
-                a.centroid.1, a.zeta.lo, a.zeta.hi
-            ));
+            let [e, lo, hi] = three(a.centroid.0, a.fsj);
+            line(format!("FSJ       {e:<8} in {lo} .. {hi}"));
+            let [e, lo, hi] = three(a.centroid.1, a.zeta);
+            line(format!("zeta      {e:<8} in {lo} .. {hi}"));
             if a.parts.len() > 1 {
                 for (k, p) in a.parts.iter().enumerate() {
+                    let [f, f0, f1] = three(p.centroid.0, p.fsj);
+                    let [z, z0, z1] = three(p.centroid.1, p.zeta);
                     line(format!(
-                        "area {:2}   FSJ {:.4} in {:.4} .. {:.4}, zeta {:.5} in {:.5} .. {:.5}",
-                        k + 1,
-                        p.centroid.0,
-                        p.fsj.lo,
-                        p.fsj.hi,
-                        p.centroid.1,
-                        p.zeta.lo,
-                        p.zeta.hi
+                        "area {:2}   FSJ {f} in {f0} .. {f1}, zeta {z} in {z0} .. {z1}",
+                        k + 1
                     ));
                 }
             }
@@ -449,8 +447,9 @@ pub fn to_text(case: &Case) -> String {
             let (f0, z0) = d.outcome.area().map_or((m.fsj[0], m.zeta[0]), |a| a.centroid);
             let h = band * case.diagnoser.uncertainty(f, f0, z0).unwrap_or(f64::NAN);
             line(format!(
-                "{:11} {v:.6e} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}",
+                "{:11} {:11} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}",
                 f.name(),
+                digits::scientific(v, h),
                 f.unit()
             ));
         }

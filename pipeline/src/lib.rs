@@ -57,6 +57,7 @@ pub mod check;
 pub mod cli;
 pub mod dataset;
 pub mod demo;
+pub(crate) mod digits;
 pub mod discrepancy;
 pub mod export;
 pub mod input;

@@ -1,6 +1,9 @@
 //! What the report shows: maps with cuts, located areas, traces, tables.
 
+pub(crate) mod conclusion;
 pub(crate) mod demo;
+mod demo_figures;
+pub(crate) mod diagnosis;
 pub(crate) mod discrepancy;
 mod discrepancy_figures;
 
@@ -13,7 +16,6 @@ use schemas::channel::Channel;
 use schemas::fault::FaultState;
 use schemas::feature::Feature;
 use schemas::telemetry::Collector;
-use sim_worker::monitor::MonitorTrack;
 
 /// Most curves of a map that are drawn.
 const CURVES: usize = 11;
@@ -51,7 +53,15 @@ pub fn map_plot(map: &FailureMap, band: Option<(f64, f64)>) -> MapPlot {
         curves,
         knots,
         band: band.map(|(value, half_width)| Band { value, half_width }),
+        truth: None,
+        estimate: None,
     }
+}
+
+/// The value of a map at a fault pair.
+fn value_of(map: &FailureMap, (fsj, zeta): (f64, f64)) -> (f64, f64) {
+    let c = map.curve(zeta);
+    (fsj, map.direction.0 * monotone::at(&map.fsj, &c.y, &c.d, fsj))
 }
 
 /// The bands in the plane of the faults: whole range, or zoomed on the located area.
@@ -110,8 +120,9 @@ pub fn region_plot(
         regions,
         area: area.map_or(Vec::new(), outline),
         hull: area.map(|a| ((a.fsj.lo, a.fsj.hi), (a.zeta.lo, a.zeta.hi))),
-        truth: truth.map(|t| (t.fsj, t.zeta)),
-        estimate: area.map(|a| a.centroid),
+        truth: truth.map(|t| (t.fsj, t.zeta)).into_iter().collect(),
+        estimate: area.map(|a| a.centroid).into_iter().collect(),
+        notes: Vec::new(),
     }
 }
 
@@ -139,38 +150,44 @@ fn outline(a: &Area) -> Vec<Strip> {
     (0..LINES).filter_map(line).collect()
 }
 
-/// Everything that shows one diagnosis: maps with their cuts, bands in the plane of the faults, the
-/// located area enlarged. File stems begin with `stem`.
-pub fn case_figures(
+/// Whether a feature is one of the paper's three.
+fn of_paper(f: Feature) -> bool {
+    matches!(f, Feature::P1 | Feature::P2 | Feature::P3)
+}
+
+/// The plane of the faults for the first screen: the bands of the paper's three maps, what was found, the healthy point.
+fn plane(diagnoser: &Diagnoser, d: &Diagnosis) -> RegionPlot {
+    let mut plot = region_plot("Where the faults lie", diagnoser, d, None, false);
+    let names: Vec<String> = [Feature::P1, Feature::P2, Feature::P3].map(label).to_vec();
+    plot.regions.retain(|r| names.contains(&r.0));
+    plot.notes = vec![((1.0, 0.0), "healthy".into())];
+    plot
+}
+
+/// The maps of a diagnosis with their cuts, those of the paper first.
+fn cut_maps(
     stem: &str,
     diagnoser: &Diagnoser,
     d: &Diagnosis,
     truth: Option<FaultState>,
-) -> Vec<(String, Figure)> {
-    let mut figures: Vec<(String, Figure)> = diagnoser
-        .maps
-        .maps
-        .iter()
-        .map(|m| {
-            let n = (m.fsj.len() / 2, m.zeta.len() / 2);
-            let at = d.outcome.area().map_or((m.fsj[n.0], m.zeta[n.1]), |a| a.centroid);
-            let band = d.outcome.area().map_or(diagnoser.usual_band(), |a| a.band);
-            let half = band * diagnoser.uncertainty(m.feature, at.0, at.1).unwrap_or(f64::NAN);
-            let plot = map_plot(m, d.features.get(m.feature).map(|v| (v, half)));
-            (format!("{stem}_map_{}", m.feature.name()), Figure::Map(plot))
-        })
-        .collect();
-    let mut region = |name: &str, title: &str, zoom: bool| {
-        figures.push((
-            format!("{stem}_{name}"),
-            Figure::Region(region_plot(title, diagnoser, d, truth, zoom)),
-        ));
+) -> Vec<(Feature, (String, Figure))> {
+    let area = d.outcome.area();
+    let one = |m: &FailureMap| {
+        let n = (m.fsj.len() / 2, m.zeta.len() / 2);
+        let at = area.map_or((m.fsj[n.0], m.zeta[n.1]), |a| a.centroid);
+        let band = area.map_or(diagnoser.usual_band(), |a| a.band);
+        let half = band * diagnoser.uncertainty(m.feature, at.0, at.1).unwrap_or(f64::NAN);
+        let mut plot = map_plot(m, d.features.get(m.feature).map(|v| (v, half)));
+        plot.truth = truth.map(|t| value_of(m, (t.fsj, t.zeta)));
+        plot.estimate = area.map(|a| value_of(m, a.centroid));
+        (
+            m.feature,
+            (format!("{stem}_map_{}", m.feature.name()), Figure::Map(plot)),
+        )
     };
-    region("region", "Bands in the plane of the faults", false);
-    if d.outcome.area().is_some() {
-        region("area", "Located area, enlarged", true);
-    }
-    figures
+    let mut all: Vec<_> = diagnoser.maps.maps.iter().map(one).collect();
+    all.sort_by_key(|m| !of_paper(m.0));
+    all
 }
 
 /// Telemetry against time.
@@ -194,37 +211,4 @@ pub fn traces(title: &str, label: &str, runs: &[(&str, &Collector)], rate_hz: f6
         y_label: format!("{label} [{}]", channel.unit()),
         series,
     }
-}
-
-/// Numerical test bench beside the simplified model: position, speed, current, torque.
-pub fn model_comparison(ntb: &Collector, sm: &MonitorTrack, rate_hz: f64) -> Vec<(String, Figure)> {
-    let pairs: [(&str, &str, Channel, &[f64]); 4] = [
-        ("user position", "position", Channel::ThetaU, &sm.theta_u_rad),
-        ("motor speed", "speed", Channel::OmegaM, &sm.omega_rad_per_s),
-        (
-            "equivalent current against |Im|",
-            "current",
-            Channel::IEq,
-            &sm.abs_current_a,
-        ),
-        ("motor torque", "torque", Channel::TorqueM, &sm.torque_n_m),
-    ];
-    let mut out = Vec::new();
-    for (title, label, channel, model) in pairs {
-        let mut plot = traces(
-            &format!("NTB and SM: {title}"),
-            label,
-            &[("NTB", ntb)],
-            rate_hz,
-            channel,
-        );
-        let points = model
-            .iter()
-            .enumerate()
-            .map(|(i, &y)| ((i + 1) as f64 / rate_hz, y))
-            .collect();
-        plot.series.push(("SM".into(), points));
-        out.push((format!("models_{label}"), Figure::Trace(plot)));
-    }
-    out
 }

@@ -1,11 +1,14 @@
 //! `ema diagnose`.
 
 use super::{ActuatorArg, RecordingArgs, say};
-use crate::case::{self, Case, Settings};
+use crate::case::{self, Case, Settings, quoted};
 use crate::map_table;
 use crate::refine::{self, Refined};
-use crate::report::{self, Report, Section};
-use crate::report_pages;
+use crate::report::{self, Report};
+use crate::report_pages::{
+    self,
+    conclusion::{Around, OfUnit},
+};
 use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::{Outcome, parse_known};
@@ -71,23 +74,20 @@ pub struct DiagnoseArgs {
     /// Share of tests whose true pair the intervals hold
     #[arg(long, default_value_t = diagnoser::calibration::COVERAGE)]
     coverage: f64,
-    /// Also draw maps, cuts and the located area into this folder
-    #[arg(long)]
+    /// Also write the page diagnosis.html into this folder (what was found, how sure, what to do next, the located area,
+    /// maps and cuts), and each of its figures as SVG
+    #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
     #[command(flatten)]
     actuator: ActuatorArg,
 }
 
 fn refined_text(r: &Refined, case: &Case) -> String {
+    let [f, f0, f1] = case::three(r.estimate.0, r.fsj);
+    let [z, z0, z1] = case::three(r.estimate.1, r.zeta);
     let mut out = format!(
-        "refined   FSJ {:.4} in {:.4} .. {:.4}, zeta {:.5} in {:.5} .. {:.5}\n          by {} runs of the test bench{}, misfit {:.1} \
+        "refined   FSJ {f} in {f0} .. {f1}, zeta {z} in {z0} .. {z1}\n          by {} runs of the test bench{}, misfit {:.1} \
          (about {} is usual)\n",
-        r.estimate.0,
-        r.fsj.lo,
-        r.fsj.hi,
-        r.estimate.1,
-        r.zeta.lo,
-        r.zeta.hi,
         r.runs,
         if r.converged { "" } else { ", not settled" },
         r.misfit,
@@ -170,6 +170,38 @@ fn of_features(a: &DiagnoseArgs, choice: &Choice) -> Result<ExitCode> {
     })
 }
 
+/// Name of the page.
+const PAGE: &str = "diagnosis.html";
+
+/// The page of what was found.
+fn page(
+    a: &DiagnoseArgs,
+    case: &Case,
+    unit: Option<&UnitFile>,
+    next: Option<&(String, &'static str)>,
+    refined: Option<&Refined>,
+) -> Report {
+    let around = Around {
+        recording: quoted(&a.file),
+        next: next.map(|(command, why)| (command.clone(), why.to_string())),
+        unit: unit.zip(a.unit.as_deref()).map(|(u, path)| OfUnit {
+            file: quoted(path),
+            relative: u.reference() == "unit",
+        }),
+    };
+    // lines of the console as paragraphs
+    let paragraphs = |text: String| text.lines().map(str::trim).collect::<Vec<_>>().join("\n\n");
+    let mut more = Vec::new();
+    if let Some(unit) = unit {
+        more.push(("The unit".to_string(), of_unit(unit).replacen("unit ", "", 1)));
+    }
+    if let Some(r) = refined {
+        let text = refined_text(r, case).replacen("refined ", "", 1);
+        more.push(("Fitted by the test bench itself".to_string(), paragraphs(text)));
+    }
+    report_pages::diagnosis::report(&a.file, case, &around, more)
+}
+
 pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     let actuator = a.actuator.named()?;
     let spread = if a.spread == "own" {
@@ -208,9 +240,20 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         let unit = settings.unit.as_deref().zip(a.unit.as_deref());
         case::next_command(&a.file, unit, a.actuator.path())
     });
+    let page = match &a.plot {
+        Some(dir) => {
+            let report = page(a, &case, settings.unit.as_deref(), next.as_ref(), refined.as_ref());
+            report::write(&report, dir, PAGE)?;
+            Some(dir.join(PAGE))
+        }
+        None => None,
+    };
     if a.json {
-        let next = next.as_ref().map(|n| n.0.as_str());
-        let json = case::to_json(&case, settings.unit.as_deref(), refined.as_ref(), next);
+        let command = next.as_ref().map(|n| n.0.as_str());
+        let mut json = case::to_json(&case, settings.unit.as_deref(), refined.as_ref(), command);
+        if let Some(page) = &page {
+            json["page"] = page.display().to_string().into();
+        }
         say(&json.to_string());
     } else {
         say(&case::to_text(&case));
@@ -230,23 +273,9 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         if let Some(next) = &next {
             say(&format!("next      {}\n          ({})", next.0, next.1));
         }
-    }
-    if let Some(dir) = &a.plot {
-        let d = &case.diagnosis;
-        let figures = report_pages::case_figures("diagnosis", &case.diagnoser, d, None);
-        let section = Section {
-            title: "Diagnosis".into(),
-            text: case::to_text(&case),
-            tables: Vec::new(),
-            figures,
-        };
-        let report = Report {
-            title: format!("Diagnosis of {}", a.file.display()),
-            summary: format!("Outcome: {}.", d.outcome.name().replace('_', " ")),
-            facts: Vec::new(),
-            sections: vec![section],
-        };
-        report::write(&report, dir, "diagnosis.html")?;
+        if let Some(page) = &page {
+            say(&format!("page      {}", page.display()));
+        }
     }
     Ok(match case.diagnosis.outcome {
         Outcome::Incomplete { .. } => ExitCode::from(EXIT_LOSS),

@@ -4,7 +4,7 @@ mod calibrate;
 mod check;
 mod dataset;
 mod demo;
-mod diagnose;
+pub(crate) mod diagnose;
 mod discrepancy;
 mod export;
 mod maps;
@@ -61,7 +61,8 @@ enum Commands {
     Calibrate(calibrate::CalibrateArgs),
     /// Diagnose a recorded test: intervals of both faults
     #[command(
-        after_help = "Example: ema diagnose run.csv --json    (maps of the reference actuator, made on first use)"
+        after_help = "Examples: ema diagnose run.csv --json    (maps of the reference actuator, made on first use)\n          \
+        ema diagnose run.csv --plot page    (then open page/diagnosis.html: what was found, how sure, what to do next)"
     )]
     Diagnose(diagnose::DiagnoseArgs),
     /// Diagnose telemetry in shared memory while the test runs

@@ -48,6 +48,7 @@ pub fn report(told: &[Told], fleets: &[Fleet]) -> Report {
     );
     Report {
         title: "Prognosis".into(),
+        lead: None,
         summary,
         facts: vec![
             ("clock".into(), clock.name().into()),
@@ -119,7 +120,7 @@ fn fleet_section(sorted: &[&Told], clock: Clock) -> Section {
             rows: sorted.iter().map(row).collect(),
             note: String::new(),
         }],
-        figures: Vec::new(),
+        ..Section::default()
     }
 }
 
@@ -141,8 +142,8 @@ fn unit_section(t: &Told, number: usize, fleet: Option<&Fleet>) -> Section {
     Section {
         title: format!("{}, {}", o.actuator, t.threshold.fault),
         text: lines.join("\n"),
-        tables: Vec::new(),
         figures,
+        ..Section::default()
     }
 }
 
@@ -285,9 +286,11 @@ pub fn scores(scored: &[(String, f64, Scored)]) -> Report {
             (format!("{fault}_reliability"), Figure::Trace(reliability(s))),
             (format!("{fault}_distribution"), Figure::Trace(places(s))),
         ],
+        ..Section::default()
     };
     Report {
         title: "Prognoses replayed".into(),
+        lead: None,
         summary: "Every forecast that would have been made of units whose end is known, against what came. On the diagonal a \
                 forecast is neither too sure nor too careful."
             .into(),

@@ -1,6 +1,7 @@
 //! What is told of an outlook, in words and as JSON.
 
 use super::{Clock, Told};
+use crate::digits::fixed;
 use arrow::temporal_conversions::timestamp_ns_to_datetime;
 use diagnoser::prognosis::fleet::COVERAGE;
 use diagnoser::prognosis::outlook::promise;
@@ -18,12 +19,6 @@ pub fn short(x: f64) -> String {
             .parse::<f64>()
             .map_or_else(|_| "-".into(), |v| v.to_string()),
     }
-}
-
-/// A number with two digits of a width.
-pub fn fine(x: f64, width: f64) -> String {
-    let digits = (1.0 - width.abs().max(1e-12).log10().floor()).clamp(0.0, 12.0);
-    format!("{x:.*}", digits as usize)
 }
 
 /// A moment of a clock: days since 1970 as a date.
@@ -104,11 +99,12 @@ pub fn text(t: &Told) -> String {
         name => name.into(),
     };
     if let Some((lo, hi, e)) = o.level {
+        let half = 0.5 * (hi - lo);
         out += &format!(
             "\n{title:<9} {} in {} .. {} (95 %)",
-            fine(e, hi - lo),
-            fine(lo, hi - lo),
-            fine(hi, hi - lo)
+            fixed(e, half),
+            fixed(lo, half),
+            fixed(hi, half)
         );
     }
     if let Some((lo, hi, e)) = o.rate {

@@ -6,19 +6,21 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::scale::{Axis, Pt, Rect, power};
+use super::theme::{FRAME, GRID, INK, MUTED, WHITE, dark_rules};
 
 /// Internal units per pixel; the backend only knows whole units.
 const FINE: f64 = 4.0;
-
-pub(super) const INK: RGBColor = RGBColor(31, 41, 51);
-pub(super) const MUTED: RGBColor = RGBColor(96, 108, 120);
-pub(super) const FRAME: RGBColor = RGBColor(140, 150, 160);
-pub(super) const GRID: RGBColor = RGBColor(230, 233, 237);
 
 pub(super) const SMALL: f64 = 13.0;
 const LABEL: f64 = 14.0;
 const TITLE: f64 = 15.5;
 const ROW: f64 = 20.0;
+
+/// A title above a drawing of some width.
+pub(super) struct Title<'a> {
+    pub text: Option<&'a str>,
+    pub width: f64,
+}
 
 /// How a legend entry is drawn.
 #[derive(Clone, Copy)]
@@ -42,13 +44,22 @@ pub(super) struct Canvas<'a> {
 }
 
 /// Runs the drawing and returns the SVG element.
-pub(super) fn render(size: (u32, u32), name: &str, draw: impl FnOnce(&Canvas) -> Result<()>) -> Result<String> {
+///
+/// * `alone` a file of its own, with its own ground and its own colours on a dark one; a page has them once for all
+pub(super) fn render(
+    size: (u32, u32),
+    name: &str,
+    alone: bool,
+    draw: impl FnOnce(&Canvas) -> Result<()>,
+) -> Result<String> {
     let (width, height) = size;
     let (w, h) = (width * FINE as u32, height * FINE as u32);
     let mut buffer = String::new();
     {
         let root = SVGBackend::with_string(&mut buffer, (w, h)).into_drawing_area();
-        root.fill(&WHITE)?;
+        if alone {
+            root.fill(&WHITE)?;
+        }
         let canvas = Canvas { root };
         draw(&canvas)?;
         canvas.root.present()?;
@@ -58,9 +69,14 @@ pub(super) fn render(size: (u32, u32), name: &str, draw: impl FnOnce(&Canvas) ->
         .ok_or_else(|| anyhow!("the backend wrote no SVG element"))?;
     // Full opacity is the default, and leaving it out saves a tenth of the size.
     let body = body.replace(" opacity=\"1\"", "");
+    let style = if alone {
+        format!("<style>\n{}</style>", dark_rules())
+    } else {
+        String::new()
+    };
     Ok(format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {w} {h}\" \
-         role=\"img\" aria-label=\"{}\" stroke-linejoin=\"round\">{body}",
+         role=\"img\" aria-label=\"{}\" stroke-linejoin=\"round\">{style}{body}",
         super::escape(name)
     ))
 }
@@ -158,6 +174,20 @@ impl Canvas<'_> {
         let style = TextStyle::from(font).color(&color).pos(Pos::new(anchor, VPos::Center));
         self.root.draw(&Text::new(text, grid(at), style))?;
         Ok(())
+    }
+
+    /// Writes a title in at most two lines, and returns where the drawing may begin.
+    pub(super) fn title(&self, title: Title) -> Result<f64> {
+        let mut top = 12.0;
+        if let Some(text) = title.text {
+            for line in wrap(text, TITLE, title.width - 32.0, 2) {
+                let font = FontDesc::new(FontFamily::SansSerif, TITLE * FINE * 1.24, FontStyle::Bold);
+                self.write(&line, (16.0, top + 8.0), font, INK, HPos::Left)?;
+                top += 20.0;
+            }
+            top += 8.0;
+        }
+        Ok(top)
     }
 
     fn entry(&self, entry: &Entry, (x, y): Pt) -> Result<()> {
@@ -266,15 +296,10 @@ impl Plot {
     /// Lays the plot out and draws title, legend, grid and axes.
     pub(super) fn new(canvas: &Canvas, setup: Setup) -> Result<Self> {
         let (width, height) = setup.size;
-        let mut top = 12.0;
-        if let Some(title) = setup.title {
-            for line in wrap(title, TITLE, width - 32.0, 2) {
-                let font = FontDesc::new(FontFamily::SansSerif, TITLE * FINE * 1.24, FontStyle::Bold);
-                canvas.write(&line, (16.0, top + 8.0), font, INK, HPos::Left)?;
-                top += 20.0;
-            }
-            top += 8.0;
-        }
+        let mut top = canvas.title(Title {
+            text: setup.title,
+            width,
+        })?;
 
         // The legend needs the left edge, which needs the y ticks, which need the height: estimate the rows first.
         let widths: Vec<f64> = setup

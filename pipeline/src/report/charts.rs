@@ -4,42 +4,15 @@ use anyhow::Result;
 use plotters::style::RGBColor;
 use plotters::style::text_anchor::HPos;
 
-use super::canvas::{Canvas, Entry, FRAME, INK, Mark, Plot, SMALL, Setup, render, text_width};
+use super::canvas::{Canvas, Entry, Mark, Plot, SMALL, Setup, render, text_width};
 use super::scale::{
-    Pt, clip_line, clip_polygon, decimate, fixed, number, pad, places, simplify, span, spread, tolerance, usable, widen,
+    Pt, clip_line, clip_polygon, decimate, fixed, pad, places, simplify, span, spread, tolerance, usable, widen,
 };
-use super::{Band, Figure, MapPlot, RegionPlot, Strip, TracePlot};
+use super::theme::{AREA, BAND, BAND_TEXT, ESTIMATE, FRAME, INK, REGIONS, SERIES, TRUTH, WHITE, sequential};
+use super::{Band, Figure, MapPlot, RegionPlot, Strip, TracePlot, sketch};
 
 const WIDE: (u32, u32) = (720, 460);
 const NARROW: (u32, u32) = (560, 460);
-const WHITE: RGBColor = RGBColor(255, 255, 255);
-const BAND: RGBColor = RGBColor(214, 84, 30);
-const AREA: RGBColor = RGBColor(30, 41, 59);
-const TRUTH: RGBColor = RGBColor(214, 30, 38);
-const ESTIMATE: RGBColor = RGBColor(20, 92, 214);
-
-/// Colours of the regions: teal, amber, violet, grey, olive, rose, sky.
-const REGIONS: [RGBColor; 7] = [
-    RGBColor(27, 158, 142),
-    RGBColor(230, 150, 10),
-    RGBColor(140, 100, 200),
-    RGBColor(120, 130, 142),
-    RGBColor(120, 150, 40),
-    RGBColor(205, 100, 140),
-    RGBColor(40, 140, 220),
-];
-
-/// Colours of the traces, told apart with colour vision deficiencies as well.
-const SERIES: [RGBColor; 8] = [
-    RGBColor(0, 98, 168),
-    RGBColor(213, 94, 0),
-    RGBColor(0, 148, 110),
-    RGBColor(170, 80, 150),
-    RGBColor(214, 150, 0),
-    RGBColor(70, 160, 215),
-    RGBColor(70, 76, 84),
-    RGBColor(140, 90, 50),
-];
 
 /// Bytes which the lines of one trace plot may take, with room for the rest of the document.
 const TRACE_BYTES: usize = 110_000;
@@ -47,35 +20,17 @@ const TRACE_BYTES: usize = 110_000;
 /// Draws a figure as an SVG element, with its title when it stands alone.
 pub(super) fn draw(figure: &Figure, titled: bool) -> Result<String> {
     match figure {
-        Figure::Map(plot) => render(WIDE, &plot.title, |canvas| map(canvas, plot, titled)),
-        Figure::Region(plot) => render(NARROW, &plot.title, |canvas| region(canvas, plot, titled)),
-        Figure::Trace(plot) => render(WIDE, &plot.title, |canvas| trace(canvas, plot, titled)),
+        Figure::Map(plot) => render(WIDE, &plot.title, titled, |canvas| map(canvas, plot, titled)),
+        Figure::Region(plot) => render(NARROW, &plot.title, titled, |canvas| region(canvas, plot, titled)),
+        Figure::Trace(plot) => render(WIDE, &plot.title, titled, |canvas| trace(canvas, plot, titled)),
+        Figure::Gap { title } => render(sketch::SIZE, title, titled, |canvas| {
+            sketch::gap(canvas, titled.then_some(title))
+        }),
     }
 }
 
 fn extent(size: (u32, u32)) -> (f64, f64) {
     (f64::from(size.0), f64::from(size.1))
-}
-
-/// Sequential colour from dark violet to green; the pale end of the scale is left out.
-fn sequential(share: f64) -> RGBColor {
-    const STOPS: [(u8, u8, u8); 9] = [
-        (68, 1, 84),
-        (72, 36, 117),
-        (65, 68, 135),
-        (53, 95, 141),
-        (42, 120, 142),
-        (33, 145, 140),
-        (34, 168, 132),
-        (68, 191, 112),
-        (112, 200, 72),
-    ];
-    let position = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
-    let index = (position as usize).min(STOPS.len() - 2);
-    let t = position - index as f64;
-    let (a, b) = (STOPS[index], STOPS[index + 1]);
-    let mix = |a: u8, b: u8| (f64::from(a) + t * (f64::from(b) - f64::from(a))).round() as u8;
-    RGBColor(mix(a.0, b.0), mix(a.1, b.1), mix(a.2, b.2))
 }
 
 fn map(canvas: &Canvas, map: &MapPlot, titled: bool) -> Result<()> {
@@ -110,7 +65,7 @@ fn map(canvas: &Canvas, map: &MapPlot, titled: bool) -> Result<()> {
         Setup {
             size: extent(WIDE),
             title: titled.then_some(map.title.as_str()),
-            entries: Vec::new(),
+            entries: marks(map.truth, map.estimate),
             x_label: "Friction factor FSJ [-]",
             y_label: &y_label,
             x: widen(x),
@@ -158,7 +113,25 @@ fn map(canvas: &Canvas, map: &MapPlot, titled: bool) -> Result<()> {
         mark_band(canvas, &plot, map, band, &drawn)?;
     }
     plot.frame(canvas)?;
+    if let Some(p) = map.truth.filter(|p| usable(p.0) && usable(p.1)) {
+        canvas.triangle(plot.at(p), 9.0, TRUTH)?;
+    }
+    if let Some(p) = map.estimate.filter(|p| usable(p.0) && usable(p.1)) {
+        canvas.dot(plot.at(p), 4.5, ESTIMATE)?;
+    }
     label_curves(canvas, &plot, map, &color)
+}
+
+/// What the marks of a map mean.
+fn marks(truth: Option<Pt>, estimate: Option<Pt>) -> Vec<Entry> {
+    let entry = |mark, color, label: &str| Entry {
+        mark,
+        color,
+        label: label.into(),
+    };
+    let truth = truth.map(|_| entry(Mark::Triangle, TRUTH, "true fault"));
+    let estimate = estimate.map(|_| entry(Mark::Dot, ESTIMATE, "estimate"));
+    truth.into_iter().chain(estimate).collect()
 }
 
 /// Draws the line of P* and its label, placed where it hides least of the curves.
@@ -191,7 +164,7 @@ fn mark_band(canvas: &Canvas, plot: &Plot, map: &MapPlot, band: &Band, drawn: &[
     }
     if let Some((_, (x, y))) = best {
         canvas.rect(((x, x + width), (y - 7.5, y + 7.5)), WHITE, 0.85)?;
-        canvas.text(text, (x + width / 2.0, y), SMALL, RGBColor(168, 58, 12), HPos::Center)?;
+        canvas.text(text, (x + width / 2.0, y), SMALL, BAND_TEXT, HPos::Center)?;
     }
     Ok(())
 }
@@ -246,7 +219,11 @@ fn region(canvas: &Canvas, map: &RegionPlot, titled: bool) -> Result<()> {
     let visible = |p: Pt| (x0..=x1).contains(&p.0) && (y0..=y1).contains(&p.1);
     let named = |name: &str, p: Pt| {
         let hint = if visible(p) { "" } else { ", outside" };
-        format!("{name} ({}, {}){hint}", number(p.0, 3), fixed(p.1, 3))
+        // as many digits as the interval warrants, and not more than a legend has room for
+        let digits = map.hull.map_or((2, 3), |((fa, fb), (za, zb))| {
+            (decimals(fb - fa, 3), decimals(zb - za, 4))
+        });
+        format!("{name} ({}, {}){hint}", fixed(p.0, digits.0), fixed(p.1, digits.1))
     };
     let entry = |mark, color, label: String| Entry { mark, color, label };
     let paint = |i: usize| REGIONS[i % REGIONS.len()];
@@ -256,20 +233,27 @@ fn region(canvas: &Canvas, map: &RegionPlot, titled: bool) -> Result<()> {
         .enumerate()
         .map(|(i, (name, _))| entry(Mark::Patch, paint(i), name.clone()))
         .collect();
-    let area_label = if map.area.is_empty() {
-        "located area (empty)"
-    } else {
-        "located area"
-    };
-    entries.push(entry(Mark::Area, AREA, area_label.to_owned()));
+    // several diagnoses in one plane have no area that is drawn
+    if map.estimate.len() < 2 {
+        let area_label = if map.area.is_empty() {
+            "located area (empty)"
+        } else {
+            "located area"
+        };
+        entries.push(entry(Mark::Area, AREA, area_label.to_owned()));
+    }
     if map.hull.is_some() {
         entries.push(entry(Mark::Dash, INK, "bounding box".to_owned()));
     }
-    if let Some(p) = map.truth {
-        entries.push(entry(Mark::Triangle, TRUTH, named("true fault", p)));
-    }
-    if let Some(p) = map.estimate {
-        entries.push(entry(Mark::Dot, ESTIMATE, named("estimate", p)));
+    for (mark, color, name, at) in [
+        (Mark::Triangle, TRUTH, "true fault", &map.truth),
+        (Mark::Dot, ESTIMATE, "estimate", &map.estimate),
+    ] {
+        match at.as_slice() {
+            [] => {}
+            [p] => entries.push(entry(mark, color, named(name, *p))),
+            _ => entries.push(entry(mark, color, format!("{name}s"))),
+        }
     }
     let plot = Plot::new(
         canvas,
@@ -327,13 +311,38 @@ fn region(canvas: &Canvas, map: &RegionPlot, titled: bool) -> Result<()> {
         }
     }
     plot.frame(canvas)?;
-    if let Some(p) = map.truth.filter(|p| visible(*p)) {
-        canvas.triangle(plot.at(p), 9.0, TRUTH)?;
+    // a small area is found by the lines from it to the axes
+    if let ([p], Some(((fa, fb), (za, zb)))) = (map.estimate.as_slice(), map.hull)
+        && visible(*p)
+        && fb - fa < 0.1 * (x1 - x0)
+        && zb - za < 0.1 * (y1 - y0)
+    {
+        canvas.dashes(plot.at((p.0, y0)), plot.at(*p), ESTIMATE, 1.0)?;
+        canvas.dashes(plot.at((x0, p.1)), plot.at(*p), ESTIMATE, 1.0)?;
     }
-    if let Some(p) = map.estimate.filter(|p| visible(*p)) {
-        canvas.dot(plot.at(p), 4.5, ESTIMATE)?;
+    for (p, text) in map.notes.iter().filter(|n| visible(n.0)) {
+        let (x, y) = plot.at(*p);
+        canvas.disc((x, y), 2.0, INK, 1.0)?;
+        let wide = text_width(text, SMALL);
+        let (x, anchor) = if x + 12.0 + wide > plot.right {
+            (x - 10.0, HPos::Right)
+        } else {
+            (x + 10.0, HPos::Left)
+        };
+        canvas.text(text, (x, (y - 11.0).max(plot.top + 10.0)), SMALL, INK, anchor)?;
+    }
+    for p in map.truth.iter().filter(|p| visible(**p)) {
+        canvas.triangle(plot.at(*p), 9.0, TRUTH)?;
+    }
+    for p in map.estimate.iter().filter(|p| visible(**p)) {
+        canvas.dot(plot.at(*p), 4.5, ESTIMATE)?;
     }
     Ok(())
+}
+
+/// Decimal places for two digits of half an interval, at most `most`.
+fn decimals(width: f64, most: usize) -> usize {
+    crate::digits::places(0.5 * width).min(most)
 }
 
 /// Smallest distance between neighbouring eccentricities of a region.

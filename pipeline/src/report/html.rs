@@ -4,58 +4,14 @@ use std::fmt::Write as _;
 
 use anyhow::{Context as _, Result};
 
-use super::{Figure, Report, Section, Table, charts, escape};
+use super::theme::dark_rules;
+use super::{Figure, Layout, Lead, Report, Section, Table, Tone, charts, escape};
 
-const STYLE: &str = r#"
-:root { --ink: #1f2933; --muted: #5f6c78; --line: #d8dde3; --soft: #f5f7f9; --accent: #21618c; }
-* { box-sizing: border-box; }
-html { -webkit-text-size-adjust: 100%; }
-body { margin: 0; background: #fff; color: var(--ink); font: 16px/1.55 "Source Sans 3", "Segoe UI", "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 1320px; margin: 0 auto; padding: 40px 32px 64px; }
-h1 { font-size: 1.9rem; line-height: 1.25; margin: 0 0 .6rem; letter-spacing: -.01em; }
-h2 { font-size: 1.35rem; line-height: 1.3; margin: 0 0 .7rem; }
-p, ul.text { max-width: 78ch; margin: 0 0 .8rem; }
-ul.text { padding-left: 1.3em; }
-a { color: var(--accent); text-decoration: none; }
-a:hover { text-decoration: underline; }
-dl.facts { display: grid; grid-template-columns: repeat(auto-fill, minmax(210px, 1fr)); gap: 1px; margin: 1.4rem 0; padding: 1px; background: var(--soft); border: 1px solid var(--line); border-radius: 6px; overflow: hidden; }
-dl.facts div { background: var(--soft); padding: .55rem .85rem; box-shadow: 0 0 0 1px var(--line); }
-dl.facts dt { color: var(--muted); font-size: .8rem; }
-dl.facts dd { margin: 0; font-weight: 600; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
-nav { margin: 1.4rem 0 0; padding: .8rem 0; border-top: 1px solid var(--line); border-bottom: 1px solid var(--line); }
-nav h2 { font-size: .8rem; margin: 0 0 .3rem; color: var(--muted); font-weight: 600; }
-nav ol { margin: 0; padding-left: 1.5em; columns: 2 26em; column-gap: 3em; font-size: .95rem; }
-section { margin-top: 2.6rem; }
-.table { margin: 1.2rem 0; overflow-x: auto; }
-table { border-collapse: collapse; font-size: .9rem; line-height: 1.4; min-width: 40%; border-bottom: 1.5px solid var(--ink); }
-caption { text-align: left; font-weight: 600; padding-bottom: .45rem; }
-th, td { padding: .34rem .9rem; text-align: left; vertical-align: top; }
-th:first-child, td:first-child { padding-left: .5rem; }
-th { border-top: 1.5px solid var(--ink); border-bottom: 1px solid var(--ink); font-weight: 600; vertical-align: bottom; }
-td { border-top: 1px solid #e9edf0; }
-.num { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-tr.strong td { font-weight: 600; background: #eef4f8; }
-.note { color: var(--muted); font-size: .85rem; margin: .45rem 0 0; }
-.figures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 1.8rem 1.6rem; align-items: end; margin-top: 1.2rem; }
-figure { margin: 0; min-width: 0; }
-figure.only { grid-column: 1 / -1; max-width: 820px; }
-figure svg { display: block; width: 100%; height: auto; }
-figure.narrow svg { max-width: 510px; margin: 0 auto; }
-figure svg text { font-family: inherit; }
-figcaption { margin: .25rem 0 0; padding: 0 .6rem; color: var(--muted); font-size: .88rem; line-height: 1.4; text-align: center; }
-@media (max-width: 860px) { main { padding: 24px 16px 40px; } .figures { grid-template-columns: minmax(0, 1fr); } }
-@media print {
-  @page { margin: 14mm; }
-  html { font-size: 10pt; }
-  body { font-size: 1rem; print-color-adjust: exact; -webkit-print-color-adjust: exact; }
-  main { max-width: none; padding: 0; }
-  a { color: inherit; }
-  h2, caption { break-after: avoid; }
-  figure, tr, dl.facts { break-inside: avoid; }
-  .figures { gap: 1rem; grid-template-columns: repeat(2, minmax(0, 1fr)); }
-  .table { overflow: visible; }
-}
-"#;
+/// The look of every page.
+const STYLE: &str = include_str!("style.css");
+
+/// Longest name that is kept on one line.
+const LONGEST_NAME: usize = 40;
 
 /// Sets the whole page.
 pub(super) fn page(report: &Report) -> Result<String> {
@@ -65,68 +21,194 @@ pub(super) fn page(report: &Report) -> Result<String> {
         out,
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{title}</h1>\n"
+         <title>{title}</title>\n<style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{}</h1>\n",
+        dark_rules(),
+        heading(&report.title)
     )?;
+    if let Some(l) = &report.lead {
+        lead(&mut out, l)?;
+    }
     prose(&mut out, &report.summary)?;
-    if !report.facts.is_empty() {
-        out.push_str("<dl class=\"facts\">\n");
-        for (name, value) in &report.facts {
-            writeln!(out, "<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value))?;
-        }
-        out.push_str("</dl>\n");
+    if report.sections.iter().any(|s| !s.folded.is_empty()) {
+        out.push_str(
+            "<p class=\"note paper-only\">Folded parts are not printed; unfold them on the screen first.</p>\n",
+        );
     }
     out.push_str("</header>\n");
-    if !report.sections.is_empty() {
+    let about = (!report.facts.is_empty()).then_some(FACTS);
+    let titles: Vec<&str> = report.sections.iter().map(|s| s.title.as_str()).chain(about).collect();
+    if titles.len() > 1 {
         out.push_str("<nav aria-label=\"Contents\">\n<h2>Contents</h2>\n<ol>\n");
-        for (i, section) in report.sections.iter().enumerate() {
-            writeln!(
-                out,
-                "<li><a href=\"#section-{}\">{}</a></li>",
-                i + 1,
-                escape(&section.title)
-            )?;
+        for (i, title) in titles.iter().enumerate() {
+            writeln!(out, "<li><a href=\"#section-{}\">{}</a></li>", i + 1, heading(title))?;
         }
         out.push_str("</ol>\n</nav>\n");
     }
     for (i, part) in report.sections.iter().enumerate() {
-        section(&mut out, i + 1, part)?;
+        writeln!(
+            out,
+            "<section id=\"section-{0}\"{1}>\n<h2>{0}. {2}</h2>",
+            i + 1,
+            layout(part.layout),
+            heading(&part.title)
+        )?;
+        inside(&mut out, part)?;
+        out.push_str("</section>\n");
+    }
+    if about.is_some() {
+        let n = titles.len();
+        writeln!(
+            out,
+            "<section id=\"section-{n}\">\n<h2>{n}. {FACTS}</h2>\n<dl class=\"facts\">"
+        )?;
+        for (name, value) in &report.facts {
+            writeln!(out, "<div><dt>{}</dt><dd>{}</dd></div>", flowing(name), flowing(value))?;
+        }
+        out.push_str("</dl>\n</section>\n");
     }
     out.push_str("</main>\n</body>\n</html>\n");
     Ok(out)
 }
 
-fn section(out: &mut String, number: usize, section: &Section) -> Result<()> {
+/// Heading of the facts.
+const FACTS: &str = "What this rests on";
+
+/// The first screen: the conclusion, and the figure that shows it.
+fn lead(out: &mut String, lead: &Lead) -> Result<()> {
+    let tone = match lead.tone {
+        Tone::Plain => "",
+        Tone::Good => " good",
+        Tone::Open => " open",
+        Tone::Fault => " fault",
+    };
+    let alone = if lead.figure.is_none() { " alone" } else { "" };
     writeln!(
         out,
-        "<section id=\"section-{number}\">\n<h2>{number}. {}</h2>",
-        escape(&section.title)
+        "<div class=\"lead{tone}{alone}\">\n<div>\n<p class=\"kind\">{}</p>\n<p class=\"finding\">{}</p>",
+        flowing(&lead.kind),
+        flowing(&lead.finding)
     )?;
+    if !lead.points.is_empty() {
+        out.push_str("<dl>\n");
+        for (i, p) in lead.points.iter().enumerate() {
+            if i == 1 {
+                terms(out, &lead.terms)?;
+            }
+            write!(out, "<div><dt>{}</dt><dd>{}", flowing(&p.label), flowing(&p.text))?;
+            if let Some(command) = &p.command {
+                write!(out, "<pre class=\"wrap\"><code>{}</code></pre>", escape(command.trim()))?;
+            }
+            out.push_str("</dd></div>\n");
+        }
+        out.push_str("</dl>\n");
+    }
+    out.push_str("</div>\n");
+    if let Some((stem, f)) = &lead.figure {
+        let caption = if lead.caption.is_empty() {
+            f.title()
+        } else {
+            &lead.caption
+        };
+        figure(out, stem, f, caption, false)?;
+    }
+    out.push_str("</div>\n");
+    Ok(())
+}
+
+/// What the names mean that the first point uses.
+fn terms(out: &mut String, terms: &[(String, String)]) -> Result<()> {
+    if terms.is_empty() {
+        return Ok(());
+    }
+    out.push_str("<div class=\"terms\"><dt>The names</dt><dd>");
+    for (name, rest) in terms {
+        writeln!(out, "<b>{}</b> {}", flowing(name), flowing(rest))?;
+    }
+    out.push_str("</dd></div>\n");
+    Ok(())
+}
+
+/// Attributes of a part by how its figures stand.
+fn layout(layout: Layout) -> String {
+    match layout {
+        Layout::Pairs => String::new(),
+        Layout::Three => " class=\"three\"".into(),
+        Layout::One => " class=\"one\"".into(),
+        Layout::Columns(rows) => format!(" class=\"columns\" style=\"--rows: {rows}\""),
+        Layout::Broad => " class=\"broad\"".into(),
+    }
+}
+
+/// What stands below the heading of a section.
+fn inside(out: &mut String, section: &Section) -> Result<()> {
     prose(out, &section.text)?;
     for part in &section.tables {
         table(out, part)?;
     }
     if !section.figures.is_empty() {
         out.push_str("<div class=\"figures\">\n");
-        for (stem, figure) in &section.figures {
-            let mut classes = Vec::new();
-            if section.figures.len() == 1 {
-                classes.push("only");
-            }
-            if matches!(figure, Figure::Region(_)) {
-                classes.push("narrow");
-            }
-            let svg = charts::draw(figure, false).with_context(|| format!("figure {stem:?}"))?;
-            let caption = escape(figure.title());
-            let class = classes.join(" ");
-            writeln!(
-                out,
-                "<figure class=\"{class}\">\n{svg}<figcaption>{caption}</figcaption>\n</figure>"
-            )?;
+        for (stem, f) in &section.figures {
+            let own = section.captions.iter().find(|c| c.0 == *stem);
+            let caption = own.map_or(f.title(), |c| &c.1);
+            figure(out, stem, f, caption, section.figures.len() == 1)?;
         }
         out.push_str("</div>\n");
     }
-    out.push_str("</section>\n");
+    for part in &section.folded {
+        writeln!(
+            out,
+            "<details>\n<summary>{}</summary>\n<div class=\"inside\"><div{}>",
+            heading(&part.title),
+            layout(part.layout)
+        )?;
+        inside(out, part)?;
+        out.push_str("</div></div>\n</details>\n");
+    }
     Ok(())
+}
+
+fn figure(out: &mut String, stem: &str, figure: &Figure, caption: &str, only: bool) -> Result<()> {
+    let mut classes = Vec::new();
+    if only {
+        classes.push("only");
+    }
+    if matches!(figure, Figure::Region(_) | Figure::Gap { .. }) {
+        classes.push("narrow");
+    }
+    let svg = charts::draw(figure, false).with_context(|| format!("figure {stem:?}"))?;
+    writeln!(
+        out,
+        "<figure class=\"{}\">\n{svg}<figcaption>{}</figcaption>\n</figure>",
+        classes.join(" "),
+        flowing(caption)
+    )?;
+    Ok(())
+}
+
+/// A text with names such as EMA-1 or aileron-002 kept on one line: browsers break at hyphens.
+fn flowing(text: &str) -> String {
+    unbroken(text, |word| word.contains(|c: char| c.is_ascii_digit()))
+}
+
+/// A heading: every word with a hyphen may be a name.
+fn heading(text: &str) -> String {
+    unbroken(text, |_| true)
+}
+
+/// Escaped, with those hyphenated words kept on one line that `is_name` says are names.
+fn unbroken(text: &str, is_name: impl Fn(&str) -> bool) -> String {
+    let part = |piece: &str| {
+        let word = piece.trim_end();
+        let inner = word.trim_matches('-');
+        if inner.contains('-') && word.chars().count() <= LONGEST_NAME && is_name(word) {
+            format!("<span class=\"name\">{}</span>{}", escape(word), &piece[word.len()..])
+        } else {
+            escape(piece)
+        }
+    };
+    let all: String = text.split_inclusive(char::is_whitespace).map(part).collect();
+    // a percentage is one word too
+    all.replace(" %", "&nbsp;%")
 }
 
 /// Plain text as paragraphs and lists.
@@ -154,14 +236,14 @@ fn block(out: &mut String, lines: &[&str], list: bool) -> Result<()> {
         return Ok(());
     }
     if !list {
-        writeln!(out, "<p>{}</p>", escape(&lines.join("\n")))?;
+        writeln!(out, "<p>{}</p>", flowing(&lines.join("\n")))?;
         return Ok(());
     }
     out.push_str("<ul class=\"text\">");
     for (i, line) in lines.iter().enumerate() {
         match line.strip_prefix("- ") {
-            Some(item) => write!(out, "{}<li>{}", if i > 0 { "</li>\n" } else { "\n" }, escape(item))?,
-            None => write!(out, " {}", escape(line))?,
+            Some(item) => write!(out, "{}<li>{}", if i > 0 { "</li>\n" } else { "\n" }, flowing(item))?,
+            None => write!(out, " {}", flowing(line))?,
         }
     }
     out.push_str("</li>\n</ul>\n");
@@ -195,13 +277,13 @@ fn table(out: &mut String, table: &Table) -> Result<()> {
 
     out.push_str("<div class=\"table\">\n<table>\n");
     if !table.caption.is_empty() {
-        writeln!(out, "<caption>{}</caption>", escape(&table.caption))?;
+        writeln!(out, "<caption>{}</caption>", flowing(&table.caption))?;
     }
     if !table.header.is_empty() {
         out.push_str("<thead><tr>");
         for i in 0..columns {
             let text = table.header.get(i).map(String::as_str).unwrap_or_default();
-            write!(out, "<th scope=\"col\"{}>{}</th>", class(i), escape(text))?;
+            write!(out, "<th scope=\"col\"{}>{}</th>", class(i), flowing(text))?;
         }
         out.push_str("</tr></thead>\n");
     }
@@ -210,13 +292,13 @@ fn table(out: &mut String, table: &Table) -> Result<()> {
         out.push_str(if row.emphasis { "<tr class=\"strong\">" } else { "<tr>" });
         for i in 0..columns {
             let text = row.cells.get(i).map(String::as_str).unwrap_or_default();
-            write!(out, "<td{}>{}</td>", class(i), escape(text))?;
+            write!(out, "<td{}>{}</td>", class(i), flowing(text))?;
         }
         out.push_str("</tr>\n");
     }
     out.push_str("</tbody>\n</table>\n");
     if !table.note.is_empty() {
-        writeln!(out, "<p class=\"note\">{}</p>", escape(&table.note))?;
+        writeln!(out, "<p class=\"note\">{}</p>", flowing(&table.note))?;
     }
     out.push_str("</div>\n");
     Ok(())

@@ -8,8 +8,10 @@ mod canvas;
 mod charts;
 mod html;
 mod scale;
+mod sketch;
 #[cfg(test)]
 mod tests;
+mod theme;
 
 use std::collections::HashSet;
 use std::fs;
@@ -51,6 +53,10 @@ pub struct MapPlot {
     pub knots: Vec<(f64, f64)>,
     /// The cut, if any.
     pub band: Option<Band>,
+    /// The true fault (FSJ [-], P in the unit of the map), drawn as a red triangle.
+    pub truth: Option<(f64, f64)>,
+    /// What was found (FSJ [-], P in the unit of the map), drawn as a blue dot.
+    pub estimate: Option<(f64, f64)>,
 }
 
 /// An FSJ interval at one eccentricity; a region is a list of such strips.
@@ -79,10 +85,12 @@ pub struct RegionPlot {
     pub area: Vec<Strip>,
     /// Bounding box of the area: ((FSJ low, FSJ high), (zeta low, zeta high)), all [-].
     pub hull: Option<((f64, f64), (f64, f64))>,
-    /// The true fault (FSJ [-], zeta [-]), drawn as a red triangle.
-    pub truth: Option<(f64, f64)>,
-    /// The estimated fault (FSJ [-], zeta [-]), drawn as a blue dot.
-    pub estimate: Option<(f64, f64)>,
+    /// True faults (FSJ [-], zeta [-]), drawn as red triangles.
+    pub truth: Vec<(f64, f64)>,
+    /// Estimated faults (FSJ [-], zeta [-]), drawn as blue dots.
+    pub estimate: Vec<(f64, f64)>,
+    /// Words beside places of the plane.
+    pub notes: Vec<((f64, f64), String)>,
 }
 
 /// Several curves over a common axis; units belong into the axis labels.
@@ -129,6 +137,11 @@ pub enum Figure {
     Region(RegionPlot),
     /// Curves over a common axis.
     Trace(TracePlot),
+    /// Sketch of a rotor that stands off the centre of its stator.
+    Gap {
+        /// Title of the figure.
+        title: String,
+    },
 }
 
 impl Figure {
@@ -138,12 +151,29 @@ impl Figure {
             Figure::Map(plot) => &plot.title,
             Figure::Region(plot) => &plot.title,
             Figure::Trace(plot) => &plot.title,
+            Figure::Gap { title } => title,
         }
     }
 }
 
+/// How the figures of a section stand.
+#[derive(Clone, Copy, Debug, Default)]
+pub enum Layout {
+    /// Two side by side.
+    #[default]
+    Pairs,
+    /// Three side by side.
+    Three,
+    /// One below the other.
+    One,
+    /// Down the first column, then down the second, so many in each.
+    Columns(usize),
+    /// Two side by side, the lines of a few points broader.
+    Broad,
+}
+
 /// One section of the report.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Section {
     /// Heading.
     pub title: String,
@@ -153,16 +183,76 @@ pub struct Section {
     pub tables: Vec<Table>,
     /// Figures, each with the stem of its file name.
     pub figures: Vec<(String, Figure)>,
+    /// What the page says below a figure in place of its title, by the figure's stem.
+    pub captions: Vec<(String, String)>,
+    /// How the figures stand.
+    pub layout: Layout,
+    /// What is folded under its title, behind the figures.
+    pub folded: Vec<Section>,
+}
+
+impl Section {
+    /// All figures, those that are folded too.
+    fn every_figure(&self) -> Vec<&(String, Figure)> {
+        let folded = self.folded.iter().flat_map(Section::every_figure);
+        self.figures.iter().chain(folded).collect()
+    }
+}
+
+/// The colour of a conclusion.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Tone {
+    /// Neither good nor bad.
+    #[default]
+    Plain,
+    /// As it should be.
+    Good,
+    /// A question stays open.
+    Open,
+    /// Something is broken or worn.
+    Fault,
+}
+
+/// One point of a conclusion.
+#[derive(Clone, Debug, Default)]
+pub struct Point {
+    /// What it answers, for instance "How sure".
+    pub label: String,
+    /// The answer, one paragraph.
+    pub text: String,
+    /// A command to copy.
+    pub command: Option<String>,
+}
+
+/// What the reader is to know before anything else: the first screen.
+#[derive(Clone, Debug, Default)]
+pub struct Lead {
+    /// Its colour.
+    pub tone: Tone,
+    /// The kind of the finding in a word or two.
+    pub kind: String,
+    /// The finding, one sentence.
+    pub finding: String,
+    /// How sure, what it means, what next.
+    pub points: Vec<Point>,
+    /// Names that the conclusion uses, each with the rest of the sentence that explains it.
+    pub terms: Vec<(String, String)>,
+    /// Stem and figure beside the words.
+    pub figure: Option<(String, Figure)>,
+    /// What the page says below the figure in place of its title; left out when empty.
+    pub caption: String,
 }
 
 /// The whole report.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Report {
     /// Title of the page.
     pub title: String,
-    /// Plain text below the title, set like the text of a section.
+    /// The conclusion.
+    pub lead: Option<Lead>,
+    /// Plain text below title and conclusion, set like the text of a section.
     pub summary: String,
-    /// Short facts as (name, value with unit).
+    /// What the findings rest on, as (name, value with unit); shown last.
     pub facts: Vec<(String, String)>,
     /// The sections in the order of display.
     pub sections: Vec<Section>,
@@ -185,7 +275,8 @@ pub fn html(report: &Report) -> Result<String> {
 /// Stems must be unique plain file names.
 pub fn write(report: &Report, dir: &Path, file_name: &str) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
-    for (stem, figure) in report.sections.iter().flat_map(|section| &section.figures) {
+    let lead = report.lead.iter().filter_map(|l| l.figure.as_ref());
+    for (stem, figure) in lead.chain(report.sections.iter().flat_map(Section::every_figure)) {
         let document = svg(figure).with_context(|| format!("figure {stem:?}"))?;
         files.push((format!("{stem}.svg"), document));
     }

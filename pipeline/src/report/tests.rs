@@ -20,6 +20,8 @@ fn map(curves: Vec<Curve>, band: Option<Band>) -> Figure {
         curves,
         knots: vec![(1.0, f64::NAN)],
         band,
+        truth: Some((1.0, f64::NAN)),
+        estimate: None,
     })
 }
 
@@ -31,8 +33,9 @@ fn region(regions: Vec<(String, Vec<Strip>)>, area: Vec<Strip>) -> RegionPlot {
         regions,
         area,
         hull: None,
-        truth: None,
-        estimate: None,
+        truth: Vec::new(),
+        estimate: Vec::new(),
+        notes: Vec::new(),
     }
 }
 
@@ -56,6 +59,7 @@ fn report(figures: Vec<(String, Figure)>) -> Report {
         text: "one\n\n- two\n- <u>\nmore".into(),
         tables: vec![table],
         figures,
+        ..Section::default()
     };
     let facts = vec![("<f>".into(), "'v'".into())];
     Report {
@@ -63,6 +67,7 @@ fn report(figures: Vec<(String, Figure)>) -> Report {
         summary: "S <em>".into(),
         facts,
         sections: vec![section],
+        ..Report::default()
     }
 }
 
@@ -76,8 +81,8 @@ fn empty_or_broken_data_does_not_panic() {
     odd.fsj_range = (nan, 1.0);
     odd.zeta_range = (0.2, 0.2);
     odd.hull = Some(((nan, 2.0), (f64::INFINITY, 0.1)));
-    odd.truth = Some((nan, 0.1));
-    odd.estimate = Some((9.0, 9.0));
+    odd.truth = vec![(nan, 0.1)];
+    odd.estimate = vec![(9.0, 9.0)];
     let band = Some(Band {
         value: 1.0,
         half_width: f64::INFINITY,
@@ -124,13 +129,7 @@ fn empty_or_broken_data_does_not_panic() {
         let text = svg(figure).expect("drawn");
         assert!(text.ends_with("</svg>\n") && !text.contains("NaN"), "{text}");
     }
-    let blank = Report {
-        title: String::new(),
-        summary: String::new(),
-        facts: vec![],
-        sections: vec![],
-    };
-    assert!(html(&blank).expect("set").contains("</html>"));
+    assert!(html(&Report::default()).expect("set").contains("</html>"));
 }
 
 #[test]
@@ -150,6 +149,64 @@ fn texts_are_escaped() {
     ] {
         assert!(page.contains(set), "{set}");
     }
+}
+
+#[test]
+fn the_conclusion_comes_first_and_names_stay_whole() {
+    let point = |label: &str, command: Option<&str>| Point {
+        label: label.into(),
+        text: "aileron-2 <b>".into(),
+        command: command.map(String::from),
+    };
+    let lead = Lead {
+        tone: Tone::Fault,
+        kind: "Located".into(),
+        finding: "1.5 % & more".into(),
+        points: vec![point("Found", None), point("What next", Some("ema <i>"))],
+        terms: vec![("FSJ".into(), "is friction.".into())],
+        figure: Some(("plane".into(), Figure::Region(region(vec![], vec![])))),
+        caption: "where".into(),
+    };
+    let folded = Section {
+        title: "Maps".into(),
+        figures: vec![("one".into(), trace(vec![]))],
+        captions: vec![("one".into(), "in other words".into())],
+        ..Section::default()
+    };
+    let report = Report {
+        title: "T".into(),
+        lead: Some(lead),
+        sections: vec![Section {
+            title: "left-aileron, fsj".into(),
+            folded: vec![folded],
+            ..Section::default()
+        }],
+        facts: vec![("a".into(), "b".into())],
+        ..Report::default()
+    };
+    let page = html(&report).expect("set");
+    let place = |words: &str| page.find(words).unwrap_or_else(|| panic!("no {words}"));
+    let order = [
+        "class=\"lead fault\"",
+        "1.5&nbsp;% &amp; more",
+        "<b>FSJ</b> is friction.",
+        "ema &lt;i&gt;",
+        "where",
+        "<nav",
+        "<summary>Maps",
+        "in other words",
+    ];
+    assert!(order.windows(2).all(|w| place(w[0]) < place(w[1])));
+    for name in [
+        "<span class=\"name\">aileron-2</span>",
+        "<span class=\"name\">left-aileron,</span> fsj",
+    ] {
+        assert!(page.contains(name), "{name}");
+    }
+    // a figure that is folded is a file too
+    let dir = std::env::temp_dir().join(format!("report-lead-{}", std::process::id()));
+    assert_eq!(write(&report, &dir, "page.html").expect("written").len(), 3);
+    fs::remove_dir_all(&dir).expect("removed");
 }
 
 #[test]

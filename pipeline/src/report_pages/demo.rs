@@ -1,15 +1,13 @@
 //! The report of the demonstration.
 
-use super::{case_figures, map_plot, model_comparison, traces};
+use super::conclusion::{self, Around, Told};
+use super::demo_figures::{background, cases, counterpart, maps};
+use super::diagnosis::{self, Shown, area_section, file_name, measured_section};
 use crate::COMMIT;
 use crate::calibrate::Effort;
-use crate::case::Case;
 use crate::demo::{DemoResult, Grid, TableCase};
-use crate::report::{Figure, Report, Section, Table, TableRow};
-use schemas::channel::Channel;
-use schemas::fault::FaultState;
-use schemas::telemetry::Collector;
-use sim_worker::monitor::MonitorTrack;
+use crate::report::{Figure, Lead, Point, Report, Section, Table, TableRow, Tone};
+use std::path::Path;
 
 /// Table I of the paper beside what was found.
 pub fn table_i(r: &DemoResult) -> Table {
@@ -60,61 +58,179 @@ pub fn table_i(r: &DemoResult) -> Table {
     }
 }
 
+/// What the four cases came to, in a sentence each: the finding, the evidence.
+fn of_cases(r: &DemoResult) -> (String, String) {
+    let n = r.table.len();
+    let held = |c: &&TableCase| {
+        let (area, t) = (c.case.diagnosis.outcome.area(), c.truth());
+        area.is_some_and(|a| a.fsj.contains(t.fsj) && a.zeta.contains(t.zeta))
+    };
+    let inside = r.table.iter().filter(held).count();
+    let located = r.table.iter().filter(|c| c.case.diagnosis.outcome.area().is_some());
+    let error = |exact: f64, found: f64| 100.0 * (exact - found).abs() / exact;
+    let worst = located.fold((0.0f64, 0.0f64), |w, c| {
+        let (t, a) = (
+            c.truth(),
+            c.case.diagnosis.outcome.area().map_or((0.0, 0.0), |a| a.centroid),
+        );
+        (w.0.max(error(t.fsj, a.0)), w.1.max(error(t.zeta, a.1)))
+    });
+    let whole = if inside == n {
+        format!("The faults of all {n} cases of the paper were found, each true pair inside both intervals.")
+    } else {
+        format!("In {inside} of the paper\u{2019}s {n} cases the true pair lies inside both intervals.")
+    };
+    let found = format!(
+        "Two faults at once from one test of 3 s with sensor noise: errors of at most {:.2} % of FSJ and {:.2} % of zeta (the paper: \
+         {:.1} and {:.1} %, without noise).",
+        worst.0,
+        worst.1,
+        r.table.iter().fold(0.0f64, |w, c| w.max(c.paper.1)),
+        r.table.iter().fold(0.0f64, |w, c| w.max(c.paper.0)),
+    );
+    (whole, found)
+}
+
+/// How far the cases may be trusted.
+fn how_sure(r: &DemoResult) -> String {
+    let shares = r.table.iter().map(|c| 100.0 * c.statistics.inside);
+    let (lo, hi) = shares.fold((100.0f64, 0.0f64), |(l, h), x| (l.min(x), h.max(x)));
+    format!(
+        "Over {} seeds of sensor noise each, the intervals held the true pair in {lo:.0} to {hi:.0} % of tests; {:.0} % are promised. Test and \
+         maps come from the same simulator: this shows that the inversion is exact and robust against noise, not that the model \
+         is right. All values of actuator and sensors are assumed.",
+        r.seeds,
+        100.0 * r.grid.diagnoser.coverage()
+    )
+}
+
+/// The first screen: the reader's own recording where there is one, else the paper's cases.
+fn lead(r: &DemoResult) -> Lead {
+    let (finding, found) = of_cases(r);
+    if let Some((path, case)) = &r.own {
+        let shown = own_shown(case);
+        let mut lead = diagnosis::lead(&shown, &around(path));
+        lead.kind = format!("{}: {}", file_name(path), lead.kind);
+        lead.points.push(Point {
+            label: "The paper\u{2019}s cases beside it".into(),
+            text: format!("{finding} {found}"),
+            command: None,
+        });
+        return lead;
+    }
+    let point = |label: &str, text: String| Point {
+        label: label.into(),
+        text,
+        command: None,
+    };
+    Lead {
+        tone: Tone::Good,
+        kind: "Demonstration on simulated tests".into(),
+        finding,
+        points: vec![
+            point("Found", found),
+            point("How sure", how_sure(r)),
+            Point {
+                label: "What next".into(),
+                text: "Diagnose a recording of your own; the page says what it found and what to do about it:".into(),
+                command: Some("ema diagnose run.csv --plot page".into()),
+            },
+        ],
+        terms: r.table.first().map_or(Vec::new(), |c| conclusion::terms(&c.case, None)),
+        figure: cases(r).map(|p| ("cases_plane".into(), Figure::Region(p))),
+        caption: "The paper\u{2019}s four cases in the plane of the faults: each blue dot (found) lies on its red triangle (true). The \
+                  intervals are smaller than the dots."
+            .into(),
+    }
+}
+
+fn own_shown(case: &crate::case::Case) -> Shown<'_> {
+    Shown {
+        case,
+        stem: "recording",
+        truth: None,
+    }
+}
+
+/// What the conclusion of the reader's own recording names.
+fn around(path: &Path) -> Around {
+    let recording = crate::case::quoted(path);
+    Around {
+        next: Some((
+            format!(
+                "ema discrepancy --model {} --bench {recording} --out study",
+                crate::discrepancy::REFERENCE
+            ),
+            "finds what is missing from the model".into(),
+        )),
+        recording,
+        unit: None,
+    }
+}
+
+/// A case of the paper, folded.
+fn case_section(number: usize, c: &TableCase) -> Section {
+    let t = c.truth();
+    let stem = format!("case_{number}");
+    let shown = Shown {
+        case: &c.case,
+        stem: &stem,
+        truth: Some(t),
+    };
+    let d = &c.case.diagnosis;
+    let found = d.outcome.area().map_or_else(
+        || format!("{}: {}", d.outcome.name().replace('_', " "), d.outcome.reason()),
+        |a| Told::of(a).sentence(),
+    );
+    let mut section = area_section(&format!("Case {number}: zeta {}, FSJ {}", t.zeta, t.fsj), &shown);
+    let mut measured = measured_section("", &shown);
+    section.text = found;
+    section.tables = measured.tables;
+    for (stem, _) in &section.figures {
+        let words = if stem.ends_with("_area") {
+            "Located area, enlarged: red triangle true, blue dot found"
+        } else {
+            "Bands of all features in the plane of the faults"
+        };
+        section.captions.push((stem.clone(), counterpart(words, 12)));
+    }
+    if let Some(three) = measured.folded.first_mut() {
+        for (stem, figure) in &three.figures {
+            three.captions.push((stem.clone(), counterpart(figure.title(), 11)));
+        }
+    }
+    section.folded = measured.folded;
+    section
+}
+
 /// All that the report shows.
 pub fn report(r: &DemoResult) -> Report {
     let (set, e) = (&r.grid.diagnoser.maps, &r.grid.setup);
     let (actuator, sequence) = (&e.actuator, &e.sequence);
     let sensors = e.sensors.as_ref().map_or("none", |s| &s.name);
-    let sm = MonitorTrack::run(actuator, sequence, e.rate_hz);
-    let map_figures: Vec<(String, Figure)> = set
-        .maps
-        .iter()
-        .map(|m| (format!("map_{}", m.feature.name()), Figure::Map(map_plot(m, None))))
-        .collect();
-    let mut trace_figures = model_comparison(&r.healthy, &sm, e.rate_hz);
-    for (channel, label) in [(Channel::OmegaM, "speed"), (Channel::IEq, "current")] {
-        let runs: Vec<(&str, &Collector)> = vec![("healthy", &r.healthy), ("zeta 0.15, FSJ 3.5", &r.table[2].run)];
-        let plot = traces(
-            &format!("Healthy and faulty: {}", channel.meaning()),
-            label,
-            &runs,
-            e.rate_hz,
-            channel,
-        );
-        trace_figures.push((format!("faults_{label}"), Figure::Trace(plot)));
+    let mut sections = Vec::new();
+    if let Some((path, case)) = &r.own {
+        let shown = own_shown(case);
+        let measured = measured_section("", &shown);
+        sections.push(Section {
+            tables: measured.tables,
+            folded: measured.folded,
+            ..area_section(&format!("Your recording: {}", file_name(path)), &shown)
+        });
     }
-    let mut all = vec![
-        Section {
-            title: "Four diagnoses".into(),
-            text: String::new(),
-            tables: vec![table_i(r)],
-            figures: Vec::new(),
-        },
-        Section {
-            title: "Failure maps".into(),
-            text:
-                "Each curve is one eccentricity zeta; dots are simulated runs, averaged over sensor noise. The ripple \
-                   falls slightly with FSJ, the others rise with both faults."
-                    .into(),
-            tables: Vec::new(),
-            figures: map_figures,
-        },
-    ];
-    all.extend(r.table.iter().enumerate().map(|(i, c)| {
-        let t = c.truth();
-        let title = format!("Case {}: zeta {}, FSJ {}", i + 1, t.zeta, t.fsj);
-        case_section(&title, &format!("case_{}", i + 1), &c.case, Some(t))
-    }));
-    all.extend(r.own.iter().map(|(path, c)| {
-        let title = format!("Your recording: {}", path.display());
-        case_section(&title, "recording", c, None)
-    }));
-    all.push(Section {
-        title: "Models".into(),
-        text: "The numerical test bench (NTB) beside the simplified model (SM) in nominal condition, and beside a faulty run.".into(),
-        tables: Vec::new(),
-        figures: trace_figures,
+    sections.push(Section {
+        title: "The paper\u{2019}s four cases".into(),
+        tables: vec![table_i(r)],
+        folded: r
+            .table
+            .iter()
+            .enumerate()
+            .map(|(i, c)| case_section(i + 1, c))
+            .collect(),
+        ..Section::default()
     });
+    sections.push(maps(r));
+    sections.push(background(r));
     let assumed = format!(
         "all {} values of the reference actuator and those of the sensors",
         actuator.assumed.len()
@@ -128,13 +244,8 @@ pub fn report(r: &DemoResult) -> Report {
     } = &r.grid;
     Report {
         title: "Failure maps of an electromechanical actuator".into(),
-        summary: format!(
-            "{runs} runs of the 3 s pre-flight test ({} x {} faults) became {} failure maps; the paper's four cases were \
-             diagnosed from recordings with sensor noise.",
-            faults.fsj.len(),
-            faults.zeta.len(),
-            set.maps.len()
-        ),
+        lead: Some(lead(r)),
+        summary: String::new(),
         facts: vec![
             (
                 "Method".into(),
@@ -153,7 +264,15 @@ pub fn report(r: &DemoResult) -> Report {
                 "Sensors".into(),
                 format!("{} (assumed): 16 bit resolver, 12 bit currents, white noise", sensors),
             ),
-            ("Grid".into(), format!("{runs} runs, {steps} steps now, {seconds:.1} s")),
+            (
+                "Grid".into(),
+                format!(
+                    "{} x {} faults, {runs} runs of the 3 s test, {} maps; {steps} steps now, {seconds:.1} s",
+                    faults.fsj.len(),
+                    faults.zeta.len(),
+                    set.maps.len()
+                ),
+            ),
             (
                 "Bands".into(),
                 format!(
@@ -168,31 +287,6 @@ pub fn report(r: &DemoResult) -> Report {
                 format!("ema {}, revision {COMMIT}", env!("CARGO_PKG_VERSION")),
             ),
         ],
-        sections: all,
-    }
-}
-
-fn case_section(title: &str, stem: &str, c: &Case, truth: Option<FaultState>) -> Section {
-    let d = &c.diagnosis;
-    let figures = case_figures(stem, &c.diagnoser, d, truth);
-    let text = match d.outcome.area() {
-        Some(a) => format!(
-            "{}: FSJ {:.4} in {:.4} to {:.4}, zeta {:.5} in {:.5} to {:.5}. {}",
-            d.outcome.name().replace('_', " "),
-            a.centroid.0,
-            a.fsj.lo,
-            a.fsj.hi,
-            a.centroid.1,
-            a.zeta.lo,
-            a.zeta.hi,
-            d.outcome.reason()
-        ),
-        None => format!("{}: {}", d.outcome.name().replace('_', " "), d.outcome.reason()),
-    };
-    Section {
-        title: title.into(),
-        text,
-        tables: Vec::new(),
-        figures,
+        sections,
     }
 }

@@ -4,38 +4,12 @@ use super::discrepancy_figures::{
     NOTHING, bars, by_channel, change, driven, escape, headline, interval, number, profiles, row, share, simulated,
     table, traces,
 };
-use crate::report::{Report, Section, Table, TableRow, html};
+use crate::report::{Layout, Lead, Report, Section, Table, TableRow, Tone, html};
 use anyhow::{Context as _, Result};
 use ema_study::told::findings::{ChannelGap, Findings, FoundEffect};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-const STYLE: &str = r#"
-.verdict { max-width: 92ch; margin: 1rem 0 1.2rem; padding: .8rem 1.1rem; font-size: 1.15rem; line-height: 1.5; background: var(--soft); border-left: 5px solid #5f6c78; border-radius: 0 6px 6px 0; }
-.verdict b { display: block; font-size: .8rem; letter-spacing: .03em; color: var(--muted); }
-.verdict.good { border-color: #00946e; }
-.verdict.open { border-color: #d69600; }
-td:first-child { white-space: nowrap; }
-.bars { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 1.2rem 1.6rem; margin: 1.2rem 0; }
-.bars figure { max-width: 640px; }
-.bars figcaption { padding: 0; text-align: left; margin: 0 0 .2rem; }
-pre { margin: .8rem 0 1.2rem; padding: .7rem .9rem; overflow-x: auto; background: var(--soft); border: 1px solid var(--line); border-radius: 6px; font: .86rem/1.5 "JetBrains Mono", Consolas, "DejaVu Sans Mono", monospace; }
-pre.wrap { white-space: pre-wrap; overflow-wrap: anywhere; }
-pre.diff { padding: .5rem 0; }
-pre.diff code { display: block; width: max-content; min-width: 100%; font: inherit; }
-pre.diff span { display: block; padding: 0 .9rem; }
-pre.diff .add { color: #0b5d32; background: #e3f5ea; }
-pre.diff .del { color: #9b1c22; background: #fdeaea; }
-ul.assumed { max-width: 90ch; list-style: none; padding: 0; }
-ul.assumed li { display: flex; gap: .7rem; margin: .3rem 0; }
-.tag { flex: none; align-self: start; margin-top: .25em; padding: 0 .5em; font-size: .75rem; color: #7a5200; background: #fff3d6; border: 1px solid #e5c780; border-radius: 4px; }
-@media (max-width: 860px) { .bars { grid-template-columns: minmax(0, 1fr); } }
-@media print { .bars { grid-template-columns: repeat(2, minmax(0, 1fr)); } .verdict, .bars figure, pre { break-inside: avoid; } pre { white-space: pre-wrap; } }
-"#;
-
-const MEASURED: &str = "Measured and predicted";
-const ALONG: &str = "Residual along the signals";
 
 /// Writes `report.html` into `dir`, complete or not at all, and returns its path.
 pub fn write(findings: &Findings, dir: &Path) -> Result<PathBuf> {
@@ -97,25 +71,26 @@ fn section(title: &str, text: String, tables: Vec<Table>) -> Section {
         title: title.into(),
         text,
         tables,
-        figures: Vec::new(),
+        ..Section::default()
     }
 }
 
-fn verdict(f: &Findings) -> String {
-    let (class, name) = match f.verdict.as_str() {
-        "none" => ("good", "No gap"),
-        "retune" => ("good", "Re-tuning is enough"),
-        "named" => ("good", "Effect named"),
-        "named_with_remainder" => ("open", "Effect named, with a remainder"),
-        "ambiguous" => ("open", "Ambiguous"),
-        "unknown" => ("open", "Unknown"),
-        other => ("", other),
+fn verdict(f: &Findings) -> Lead {
+    let (tone, name) = match f.verdict.as_str() {
+        "none" => (Tone::Good, "No gap"),
+        "retune" => (Tone::Good, "Re-tuning is enough"),
+        "named" => (Tone::Good, "Effect named"),
+        "named_with_remainder" => (Tone::Open, "Effect named, with a remainder"),
+        "ambiguous" => (Tone::Open, "Ambiguous"),
+        "unknown" => (Tone::Open, "Unknown"),
+        other => (Tone::Plain, other),
     };
-    format!(
-        "<p class=\"verdict {class}\"><b>Verdict: {}</b> {}</p>",
-        escape(name),
-        escape(&line(&f.sentence))
-    )
+    Lead {
+        tone,
+        kind: format!("Verdict: {name}"),
+        finding: line(&f.sentence),
+        ..Lead::default()
+    }
 }
 
 /// The gap by channel, or that of the drive channel alone.
@@ -306,9 +281,16 @@ fn measured(f: &Findings) -> Option<Section> {
         return None;
     }
     let text = "Measured and predicted over time, each with the residuals of the models.";
+    // each residual below its trace
+    let layout = if figures.len() == 2 {
+        Layout::One
+    } else {
+        Layout::Columns(2 * figures.len().div_ceil(4))
+    };
     Some(Section {
         figures,
-        ..section(MEASURED, text.into(), Vec::new())
+        layout,
+        ..section("Measured and predicted", text.into(), Vec::new())
     })
 }
 
@@ -333,28 +315,6 @@ fn simulation(f: &Findings) -> Option<Section> {
     })
 }
 
-/// Rules of the sections with figures: each residual below its trace, the few lines of a profile broader.
-fn rules(sections: &[Section]) -> String {
-    let mut out = String::new();
-    for (i, s) in sections.iter().enumerate() {
-        let n = i + 1;
-        if s.title == MEASURED && s.figures.len() == 2 {
-            out += &format!("#section-{n} .figures {{ grid-template-columns: minmax(0, 1fr); max-width: 820px; }}\n");
-        } else if s.title == MEASURED {
-            let rows = 2 * s.figures.len().div_ceil(4);
-            out += &format!(
-                "@media (min-width: 861px) {{ #section-{n} .figures {{ grid-auto-flow: column; \
-                 grid-template-rows: repeat({rows}, auto); }} }}\n"
-            );
-        } else if s.title == ALONG {
-            for colour in ["#00946E", "#AA5096"] {
-                out += &format!("#section-{n} polyline[stroke=\"{colour}\"] {{ stroke-width: 8; }}\n");
-            }
-        }
-    }
-    out
-}
-
 fn along(f: &Findings) -> Option<Section> {
     let figures = profiles(f);
     if figures.is_empty() {
@@ -363,7 +323,9 @@ fn along(f: &Findings) -> Option<Section> {
     let text = "Means of the residual in bins: what the model has right lies on the zero line.";
     Some(Section {
         figures,
-        ..section(ALONG, text.into(), Vec::new())
+        // few points each
+        layout: Layout::Broad,
+        ..section("Residual along the signals", text.into(), Vec::new())
     })
 }
 
@@ -444,7 +406,6 @@ fn file_name(path: &str) -> String {
 /// The whole page.
 fn page(f: &Findings) -> Result<String> {
     let mut blocks = Blocks::default();
-    let summary = blocks.put(verdict(f));
     let mut sections = vec![gap(f)];
     sections.extend(gap_bars(f, &mut blocks));
     sections.extend(places(f));
@@ -472,13 +433,12 @@ fn page(f: &Findings) -> Result<String> {
             file_name(&f.model),
             file_name(&f.bench)
         ),
-        summary,
+        lead: Some(verdict(f)),
         facts,
         sections,
+        ..Report::default()
     };
-    let style = format!("{STYLE}{}</style>", rules(&report.sections));
-    let page = html(&report)?.replacen("</style>", &style, 1);
-    Ok(blocks.set(page))
+    Ok(blocks.set(html(&report)?))
 }
 
 #[cfg(test)]

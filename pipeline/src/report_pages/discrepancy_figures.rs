@@ -376,7 +376,7 @@ pub(super) fn bars(gaps: &[&ChannelGap], added: bool) -> String {
         let _ = writeln!(
             out,
             "<figure><figcaption><b>{}</b>, {} equation, {data}</figcaption>\n<svg viewBox=\"0 0 520 {height}\" \
-             role=\"img\" aria-label=\"gap of {}\" font-size=\"14\" fill=\"#1f2933\">",
+             role=\"img\" aria-label=\"gap of {}\" font-size=\"14\" fill=\"currentColor\">",
             escape(&gap.channel),
             escape(&gap.equation),
             escape(&gap.channel)
@@ -409,7 +409,7 @@ pub(super) fn bars(gaps: &[&ChannelGap], added: bool) -> String {
         if g.floor > 0.0 {
             let _ = writeln!(
                 out,
-                "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"4\" y2=\"{y}\" stroke=\"#1f2933\" stroke-dasharray=\"3 3\"/>"
+                "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"4\" y2=\"{y}\" stroke=\"currentColor\" stroke-dasharray=\"3 3\"/>"
             );
         }
         out.push_str("</svg></figure>\n");
