@@ -155,7 +155,7 @@ fn run() -> Result<bool> {
         let ended = p.ends_within(Duration::from_secs(600));
         ensure!(ended.is_some_and(|s| s.success()), "{args:?}: {}", p.errors());
     }
-    let m = pipeline::input::open(&file, None)?;
+    let m = pipeline::input::open(&file, Default::default())?;
     let about = |run: u64| announced(&m, run);
     let over = Arc::<AtomicBool>::default();
     let heard = hearing(&domain, &over);

@@ -27,7 +27,7 @@ fn header_of(bytes: [u8; HEADER]) -> FrameHeader {
 
 /// The frames of a recording.
 pub(super) fn of(recording: &Path) -> Vec<u8> {
-    let m = pipeline::input::open(recording, None).unwrap();
+    let m = pipeline::input::open(recording, Default::default()).unwrap();
     let about = announced(&m, 5);
     let mut out = Vec::new();
     let mut add = |kind: u32, frame: u64, values: &[f64], rows: Option<(u64, usize)>| {
