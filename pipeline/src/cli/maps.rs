@@ -1,6 +1,6 @@
 //! `ema maps`, which is `ema dataset maps`.
 
-use super::say;
+use super::{say, say_json};
 use crate::dataset::Dataset;
 use crate::dataset::maps::{Chosen, MAPS, files, table};
 use anyhow::Result;
@@ -18,8 +18,9 @@ pub struct MapsArgs {
     /// Dataset (ema simulate, ema dataset make): a folder, or s3://BUCKET/PREFIX
     dataset: String,
     /// Only the maps of this actuator of a fleet, as files into --out
-    #[arg(long, value_name = "ID")]
-    actuator: Option<String>,
+    // a file of parameters is called `--actuator` everywhere else
+    #[arg(long, value_name = "ID", alias = "actuator")]
+    id: Option<String>,
     /// Folder (or .parquet file) for the maps of one actuator; the dataset's own if left out and there is one
     #[arg(long)]
     out: Option<PathBuf>,
@@ -44,7 +45,7 @@ pub struct MapsArgs {
 pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
     let d = Dataset::open(&a.dataset)?;
     let alone = d.plan.actuators.len() == 1;
-    if !alone && a.actuator.is_none() {
+    if !alone && a.id.is_none() {
         let one = [
             ("--out", a.out.is_some()),
             ("--rest-angle-deg", a.rest_angle_deg.is_some()),
@@ -56,14 +57,14 @@ pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
                 "command line",
                 *option,
                 found,
-                "with --actuator ID: it is for the maps of one",
+                "with --id ID: it is for the maps of one",
             )
             .into());
         }
         return of_fleet(&d);
     }
     let chosen = Chosen {
-        actuator: a.actuator.as_deref(),
+        actuator: a.id.as_deref(),
         rest_angle_rad: a.rest_angle_deg.map(f64::to_radians),
         lenient: a.lenient,
     };
@@ -107,7 +108,7 @@ fn quality(a: &MapsArgs, file: &Path, set: FailureMapSet) -> Result<()> {
     };
     let quality = MapQuality::of(&choice.ready(file, set, &Vec::new())?);
     if a.json {
-        say(&quality.to_json().to_string());
+        say_json(quality.to_json());
     } else {
         say(&quality.to_text());
     }

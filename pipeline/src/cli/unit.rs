@@ -1,7 +1,7 @@
 //! `ema unit`.
 
 use super::diagnose::quoted;
-use super::{ActuatorArg, RecordingArgs, say};
+use super::{ActuatorArg, RecordingArgs, say, say_json};
 use crate::case::Settings;
 use crate::unit::{Kinds, Shown, show};
 use anyhow::Result;
@@ -77,9 +77,17 @@ pub fn unit(c: &UnitCommand) -> Result<ExitCode> {
         UnitCommand::Update(a) => update(a),
         UnitCommand::Show(a) => {
             let unit = UnitFile::load(&a.unit)?;
-            say(&if a.json { json(&unit).to_string() } else { text(&unit) });
+            told(&unit, a.json);
             Ok(ExitCode::SUCCESS)
         }
+    }
+}
+
+fn told(unit: &UnitFile, as_json: bool) {
+    if as_json {
+        say_json(json(unit));
+    } else {
+        say(&text(unit));
     }
 }
 
@@ -178,7 +186,7 @@ fn update(a: &UpdateArgs) -> Result<ExitCode> {
         }
         shown.push(what);
     }
-    say(&if a.json { json(&unit).to_string() } else { text(&unit) });
+    told(&unit, a.json);
     let refused = shown.iter().any(|s| matches!(s, Shown::Refused(_)));
     Ok(if refused {
         ExitCode::from(EXIT_LOSS)
