@@ -11,6 +11,7 @@ use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
 use schemas::stream::{Domain, domain};
 use sim_worker::catalogue;
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::quiet;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -21,11 +22,17 @@ use std::time::Duration;
 /// Longest silence of a stream that is waited for [s].
 const LONGEST_TIMEOUT_S: f64 = 1e6;
 
+// headings of options; the first, third and fourth are those of `ema`, too
+const STREAM: &str = "Stream";
+const NAMED: &str = "What frames may name";
+const MAPS: &str = "Maps and intervals";
+const OUTPUT: &str = "Output";
+
 /// Which shared memory.
 #[derive(Args, Clone, Debug)]
 pub struct DomainArg {
     /// Domain: only processes of one domain see each other; letters, digits and -
-    #[arg(long, env = domain::VARIABLE, default_value = "", hide_default_value = true)]
+    #[arg(long, env = domain::VARIABLE, default_value = "", hide_default_value = true, help_heading = STREAM)]
     domain: String,
 }
 
@@ -45,46 +52,46 @@ pub struct LiveArgs {
     #[command(flatten)]
     domain: DomainArg,
     /// Actuator parameters that frames may name, TOML files; besides the reference actuator
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = NAMED)]
     actuator: Vec<PathBuf>,
     /// Sequences that frames may name, TOML files; besides the built-in ones
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = NAMED)]
     sequence: Vec<PathBuf>,
     /// Sensor models that frames may name, TOML files; besides none and the reference
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = NAMED)]
     sensors: Vec<PathBuf>,
     /// Saved maps: file, folder with maps.parquet, or folder of such folders
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", help_heading = MAPS)]
     pub maps: Vec<PathBuf>,
     /// Spread from unit to unit that intervals allow for: none, fleet, or a TOML file
-    #[arg(long, default_value = "none")]
+    #[arg(long, default_value = "none", help_heading = MAPS)]
     spread: String,
     /// Share of tests whose true pair the intervals hold
-    #[arg(long, default_value_t = crate::calibration::COVERAGE)]
+    #[arg(long, default_value_t = crate::calibration::COVERAGE, help_heading = MAPS)]
     coverage: f64,
     /// Append final diagnoses to FILE.jsonl or FILE.parquet; streams that have one in it get no other one
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = OUTPUT)]
     log: Option<PathBuf>,
     /// Record every stream into this folder as Parquet, while diagnosing
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     record: Option<PathBuf>,
     /// Poll instead of sleeping until something comes: quicker, and a processor core is always busy
-    #[arg(long)]
+    #[arg(long, help_heading = STREAM)]
     busy: bool,
     /// Lines instead of the live view
-    #[arg(long)]
+    #[arg(long, help_heading = OUTPUT)]
     plain: bool,
-    /// A JSON object for each diagnosis, those so far included
-    #[arg(long, conflicts_with = "plain")]
+    /// A JSON object for each diagnosis, those so far included (schemas/json/live.schema.json)
+    #[arg(long, conflicts_with = "plain", help_heading = OUTPUT)]
     json: bool,
     /// End after so many final diagnoses
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help_heading = STREAM)]
     exit_after: Option<u64>,
     /// A stream without a frame for so long is over [s]
-    #[arg(long, default_value_t = 10.0, value_name = "S")]
+    #[arg(long, default_value_t = 10.0, value_name = "S", help_heading = STREAM)]
     timeout: f64,
     /// Write numbers for monitoring to this file every five seconds, in the text format of Prometheus
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = OUTPUT)]
     metrics: Option<PathBuf>,
 }
 
@@ -182,10 +189,10 @@ impl LiveArgs {
             strays,
             ..
         } = counts;
-        eprintln!(
+        quiet::note(&format!(
             "{frames} frames, {diagnoses} diagnoses: {located} located, {unexplained} unexplained, {out_of_range} out of \
              range, {incomplete} incomplete; {strays} frames refused"
-        );
+        ));
         Ok(if stop.load(Ordering::Relaxed) {
             EXIT_INTERRUPTED
         } else if incomplete > 0 {
@@ -211,6 +218,9 @@ const AFTER: &str = "Maps are made by `ema maps` or `ema live`; name them with -
 struct Program {
     #[command(flatten)]
     live: LiveArgs,
+    /// No notes on standard error; diagnoses and errors stay
+    #[arg(long)]
+    quiet: bool,
 }
 
 fn run(program: &Program, stop: &Arc<AtomicBool>) -> Result<u8> {
@@ -224,6 +234,9 @@ fn run(program: &Program, stop: &Arc<AtomicBool>) -> Result<u8> {
 /// The program `diagnoser`.
 pub fn main() -> ExitCode {
     let program = Program::parse();
+    if program.quiet {
+        quiet::be_quiet();
+    }
     let stop = Arc::new(AtomicBool::new(false));
     sim_worker::interrupt::catch(stop.clone());
     match run(&program, &stop) {

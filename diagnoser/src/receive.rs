@@ -9,7 +9,7 @@ pub mod words;
 use crate::live::{Known, Live, Status};
 use crate::log::Log;
 use crate::record::{Recording, record};
-use crate::report::{Logged, to_message};
+use crate::report::{Logged, to_message, versioned};
 use crate::view::View;
 use foresight::Foresight;
 use maps::{MapSource, MapThreads};
@@ -142,7 +142,7 @@ impl Receiving {
                 Show::Lines if logged.report.is_final || logged.report.diagnosis.outcome.area().is_some() => {
                     say(&logged.to_line())
                 }
-                Show::Json => say(&logged.to_json().to_string()),
+                Show::Json => say(&versioned(logged.to_json()).to_string()),
                 _ => Ok(()),
             };
             if let Err(e) = said {
@@ -216,7 +216,7 @@ pub fn receive(options: Options, maps: MapSource, stop: &Arc<AtomicBool>) -> Res
         live: Live::new(options.known.clone()),
     };
     if matches!(options.show, Show::Lines | Show::Json) {
-        eprintln!("waiting for telemetry (domain `{}`)", options.domain.prefix());
+        sim_worker::quiet::note(&format!("waiting for telemetry (domain `{}`)", options.domain.prefix()));
     }
     if let Some(log) = &r.log {
         r.live.already_concluded(log.concluded());

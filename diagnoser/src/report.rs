@@ -34,6 +34,16 @@ pub fn to_json(d: &Diagnosis) -> Value {
     })
 }
 
+/// The object with the version of its keys, as programs get it on standard output. Nested objects and the rows of logs
+/// have none of their own.
+///
+/// # Panics
+/// Where it is no object.
+pub fn versioned(mut object: Value) -> Value {
+    object["schema_version"] = schemas::SCHEMA_VERSION.into();
+    object
+}
+
 /// One of several separated parts of an area.
 fn part(p: &Part) -> Value {
     let interval = |i: Interval, e: f64| json!({"lo": i.lo, "hi": i.hi, "estimate": e});

@@ -42,6 +42,13 @@ const ANSWER: usize = 20;
 /// Kind of an answer that says no more than that the receiving end is alive.
 const ALIVE: u32 = 0;
 
+/// Says what is no trouble, unless quiet.
+fn note(say: &dyn Fn(&str), text: &str) {
+    if !sim_worker::quiet::is_quiet() {
+        say(text);
+    }
+}
+
 /// An answer of the far end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Answer {

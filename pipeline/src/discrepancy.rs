@@ -85,8 +85,8 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         m => m.clone(),
     };
     if request.verify && model.is_none() {
-        let allowed = "--model: the actuator whose simulator is to run the recorded command";
-        return Err(Error::bad("command line", "--verify", "no --model", allowed).into());
+        let allowed = "--actuator: the actuator whose simulator is to run the recorded command";
+        return Err(Error::bad("command line", "--verify", "no --actuator", allowed).into());
     }
     let read = |model: &PathBuf| -> Result<(String, String)> {
         let text = if model == Path::new(REFERENCE) {
@@ -130,7 +130,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         tell_user("intervals and report");
         findings = tell::findings(&outcome, &name);
         if telemetry && request.model.is_none() {
-            let text = "no --model: the recordings are taken for the reference actuator's";
+            let text = "no --actuator: the recordings are taken for the reference actuator's";
             findings.assumptions.push(text.to_string());
         }
         if let Some(actuator) = actuator.as_ref() {
@@ -169,7 +169,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         if let Some((path, text)) = sequence {
             write_whole(&path, text.as_bytes())?;
         }
-        let json = serde_json::to_string_pretty(&findings.to_json())?;
+        let json = serde_json::to_string_pretty(&diagnoser::report::versioned(findings.to_json()))?;
         write_whole(&dir.join("report.json"), format!("{json}\n").as_bytes())?;
         report = Some(page::write(&findings, dir)?);
     }

@@ -52,6 +52,7 @@ pub mod parameters;
 pub mod plant;
 #[cfg(feature = "dataset")]
 pub mod progress;
+pub mod quiet;
 pub mod sensor;
 pub mod setup;
 pub mod simulate;

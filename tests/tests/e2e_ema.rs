@@ -622,8 +622,8 @@ fn refuse_maps_of_another_actuator_rate_or_rest_angle() {
         &["parameters of actuator"],
     );
     refused(
-        &["maps", text(&data), "--actuator", text(&other)],
-        &["--actuator", "an actuator of the dataset", "reference"],
+        &["maps", text(&data), "--id", text(&other)],
+        &["--id", "an actuator of the dataset", "reference"],
     );
     // a torn maps file
     let file = data.join("maps.parquet");

@@ -255,7 +255,7 @@ fn prop_bad_benches_are_told_in_one_line_with_the_likely_cause() {
 fn refused(bench: &Path) -> String {
     let out = run(&[
         "discrepancy",
-        "--model",
+        "--actuator",
         "reference",
         "--bench",
         bench.to_str().unwrap(),

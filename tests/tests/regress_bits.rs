@@ -67,6 +67,13 @@ fn regress_features_and_maps_of_one_actuator() {
     }
 }
 
+/// Of a recording, without the version of its keys: the recorded bits are older than that key.
+fn diagnosis(file: &Path) -> Value {
+    let mut d = json(&["diagnose", text(file), "--json"]);
+    assert_eq!(d.as_object_mut().unwrap().remove("schema_version"), Some(1.into()));
+    d
+}
+
 #[test]
 fn regress_diagnoses_of_random_recordings() {
     let dir = tempfile::tempdir().unwrap();
@@ -77,19 +84,15 @@ fn regress_diagnoses_of_random_recordings() {
         let (fsj, zeta, seed) = (option("fsj"), option("zeta"), option("seed"));
         let faults = ["run", "--fsj", &fsj, "--zeta", &zeta, "--seed", &seed];
         ok(&[&faults[..], &["--sensors", "reference", "--out", text(&file)]].concat());
-        assert_eq!(json(&["diagnose", text(&file), "--json"]), d["diagnosis"], "{faults:?}");
+        assert_eq!(diagnosis(&file), d["diagnosis"], "{faults:?}");
     }
 }
 
 #[test]
 fn regress_diagnoses_of_the_independent_recordings() {
     let Some(dir) = folder("EMA_REFERENCE_DIR") else { return };
-    for (name, diagnosis) in fixture()["references"].as_object().unwrap() {
-        assert_eq!(
-            json(&["diagnose", text(&dir.join(name)), "--json"]),
-            *diagnosis,
-            "{name}"
-        );
+    for (name, wanted) in fixture()["references"].as_object().unwrap() {
+        assert_eq!(diagnosis(&dir.join(name)), *wanted, "{name}");
     }
 }
 

@@ -186,7 +186,7 @@ fn val_the_circle_is_one_command_on_a_unit_of_another_hand() {
     ]);
     let said = String::from_utf8_lossy(&o.stderr).into_owned();
     assert!(
-        !o.status.success() && said.contains("--verify") && said.contains("--model"),
+        !o.status.success() && said.contains("--verify") && said.contains("--actuator"),
         "{said}"
     );
     let o = run(&["discrepancy", "--bench", &a, "--diagnose", &test]);

@@ -27,7 +27,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _ema(m: &Bound<'_, PyModule>) -> PyResult<()> {
     // bars and notes on standard error are the program's; the package has `progress`
-    sim_worker::progress::be_quiet();
+    sim_worker::quiet::be_quiet();
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add("COMMIT", pipeline::COMMIT)?;
     m.add("InputError", m.py().get_type::<error::InputError>())?;

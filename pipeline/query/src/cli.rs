@@ -57,6 +57,9 @@ struct QueryArgs {
     /// Print the optimised plan, what is read from which files, instead of an answer
     #[arg(long)]
     explain: bool,
+    /// No notes beside the answer
+    #[arg(long)]
+    quiet: bool,
 }
 
 /// The folder that a query reads: a dataset in a bucket is mirrored first.
@@ -73,6 +76,9 @@ fn folder(place: &Path) -> Result<PathBuf> {
 /// Parses the command line, answers, and says how it ended.
 pub fn main() -> ExitCode {
     let a = QueryArgs::parse();
+    if a.quiet {
+        sim_worker::quiet::be_quiet();
+    }
     catch_interrupts();
     query(&a).unwrap_or_else(|e| {
         eprintln!("ema: {}", format!("{e:#}").replace('\n', " "));

@@ -6,7 +6,7 @@ use super::link::{Link, Reader, Wait};
 use super::message::{Message, Messages};
 use super::relay::{Outcome, Terms};
 use super::table::Row;
-use super::{ALIVE, Answer, GREETING, Guard, Traffic, address, locked};
+use super::{ALIVE, Answer, GREETING, Guard, Traffic, address, locked, note};
 use anyhow::{Context, Result, bail};
 use arrow::array::RecordBatch;
 use rustls::{ServerConfig, ServerConnection};
@@ -73,7 +73,7 @@ pub fn receive(
     if guard.secret.is_none() && guard.tls.is_none() && !local.ip().is_loopback() {
         say("neither --secret-file nor --tls-cert: whoever reaches this address may send");
     }
-    say(&format!("listening on {local}"));
+    note(say, &format!("listening on {local}"));
     // a broken stream is told in one line below, not with a trace
     std::panic::set_hook(Box::new(|_| ()));
     let desk = Desk {
@@ -153,7 +153,7 @@ impl Desk<'_> {
         self.greeted(number);
         let frames = traffic.frames;
         match result {
-            Ok(()) => (self.say)(&format!("{from} has finished: {frames} frames")),
+            Ok(()) => note(self.say, &format!("{from} has finished: {frames} frames")),
             Err(_) if !(self.go_on)() => {}
             Err(e) => {
                 let why = format!("{e:#}");
@@ -205,7 +205,7 @@ impl Desk<'_> {
         {
             Entrance::New(s) => s,
             Entrance::Again(s) => {
-                (self.say)(&format!("{from} takes over from its former connection"));
+                note(self.say, &format!("{from} takes over from its former connection"));
                 s
             }
             Entrance::Full => {
@@ -247,7 +247,7 @@ impl Desk<'_> {
         let wait = Wait { go_on: &go_on, until };
         let mut messages = Messages::begin(Reader { link, wait }, self.limits.most_message)?;
         self.greeted(number);
-        (self.say)(&format!("{from} connected"));
+        note(self.say, &format!("{from} connected"));
         traffic.connections = 1;
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {

@@ -4,7 +4,7 @@ use super::greeting::{self, Hopeless, Token};
 use super::link::{Link, Wait};
 use super::table::{self, to_row};
 use super::tls::Client;
-use super::{ALIVE, ANSWER, Answer, GREETING, Guard, MOST_ROWS, Traffic, address};
+use super::{ALIVE, ANSWER, Answer, GREETING, Guard, MOST_ROWS, Traffic, address, note};
 use anyhow::{Result, bail};
 use arrow::array::RecordBatch;
 use arrow::ipc::writer::StreamWriter;
@@ -269,7 +269,7 @@ pub fn send(
         sender.traffic.connections += 1;
         let began = Instant::now();
         match carry(&mut sender, socket, guard, go_on, &|| {
-            say(&format!("connected to {to}"))
+            note(say, &format!("connected to {to}"))
         }) {
             Ok(()) => {}
             Err(e) if e.is::<Hopeless>() => {

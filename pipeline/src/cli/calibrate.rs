@@ -1,6 +1,6 @@
 //! `ema calibrate`.
 
-use super::{ActuatorArg, say};
+use super::{ActuatorArg, MAPS, MODEL, OUTPUT, say, say_json};
 use crate::calibrate::{Effort, calibrate as campaign, setup_of};
 use anyhow::Result;
 use clap::Args;
@@ -17,28 +17,28 @@ pub struct CalibrateArgs {
     /// Maps: a dataset folder with maps.parquet (ema maps), or the file
     maps: PathBuf,
     /// Spread from unit to unit: none (one actuator, known), fleet (all values assumed), or a TOML file
-    #[arg(long, default_value = "none")]
+    #[arg(long, default_value = "none", help_heading = MAPS)]
     spread: String,
     /// Tests that the reach of the intervals comes from
-    #[arg(long, default_value_t = 4096, value_parser = clap::value_parser!(u64).range(64..=1_000_000))]
+    #[arg(long, default_value_t = 4096, value_parser = clap::value_parser!(u64).range(64..=1_000_000), help_heading = MAPS)]
     runs: u64,
     /// Further tests that the response to the spread comes from
-    #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u64).range(256..=1_000_000))]
+    #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u64).range(256..=1_000_000), help_heading = MAPS)]
     surface_runs: u64,
     /// Seed of the random units, faults and sensor noise
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, help_heading = MAPS)]
     seed: u64,
     /// Coverage that is shown; the calibration serves any
-    #[arg(long, default_value_t = COVERAGE)]
+    #[arg(long, default_value_t = COVERAGE, help_heading = OUTPUT)]
     coverage: f64,
     /// Sequence of the maps, if it is a TOML file of your own
-    #[arg(long)]
+    #[arg(long, help_heading = MODEL)]
     sequence: Option<String>,
     /// Sensor model of the maps, if it is a TOML file of your own
-    #[arg(long)]
+    #[arg(long, help_heading = MODEL)]
     sensors: Option<String>,
     /// Keys for programs
-    #[arg(long)]
+    #[arg(long, help_heading = OUTPUT)]
     json: bool,
     #[command(flatten)]
     actuator: ActuatorArg,
@@ -81,7 +81,7 @@ pub fn calibrate(a: &CalibrateArgs) -> Result<ExitCode> {
     made.save(&out)?;
     let diagnoser = Diagnoser::new(set, Some(made.clone()), a.coverage, &Vec::new())?;
     if a.json {
-        say(&to_json(&diagnoser, &made).to_string());
+        say_json(to_json(&diagnoser, &made));
     } else {
         say(&to_text(&diagnoser, &made));
         say(&format!("saved {}", out.display()));

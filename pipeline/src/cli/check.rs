@@ -1,6 +1,6 @@
 //! `ema check`.
 
-use super::say;
+use super::{say, say_json};
 use crate::check::{Checked, check, setup_of};
 use anyhow::Result;
 use clap::Args;
@@ -34,11 +34,11 @@ pub fn run(a: &CheckArgs) -> Result<ExitCode> {
     let setup = setup_of(actuator, sim_worker::catalogue::sequence(&a.sequence)?);
     let sensors = sim_worker::catalogue::sensors(&a.sensors)?;
     let checked = check(&setup, sensors, &sim_worker::catalogue::grid(&a.grid)?)?;
-    say(&if a.json {
-        json(&name, &checked).to_string()
+    if a.json {
+        say_json(json(&name, &checked));
     } else {
-        text(&name, &checked)
-    });
+        say(&text(&name, &checked));
+    }
     Ok(if checked.ok() {
         ExitCode::SUCCESS
     } else {

@@ -1,6 +1,6 @@
 //! `ema plan` and `ema dataset`.
 
-use super::{list, say};
+use super::{list, say, say_json};
 use crate::dataset::diagnose::{Diagnosed, Grounds, by_own_maps, by_type};
 use crate::dataset::estimate::{estimate, to_json, to_text};
 use crate::dataset::{Dataset, export};
@@ -35,7 +35,7 @@ pub fn plan(a: &PlanArgs) -> Result<ExitCode> {
     let plan = DatasetPlan::read(&a.plan)?;
     let e = estimate(&plan)?;
     if a.json {
-        say(&to_json(&plan, &e).to_string());
+        say_json(to_json(&plan, &e));
     } else {
         say(&to_text(&plan, &e));
     }
@@ -205,7 +205,7 @@ fn check(a: &VerifyArgs) -> Result<ExitCode> {
             "run_again": shards,
             "notes": r.notes,
         });
-        say(&v.to_string());
+        say_json(v);
     } else {
         for n in &r.notes {
             say(&format!("note: {n}"));

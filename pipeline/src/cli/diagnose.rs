@@ -1,6 +1,6 @@
 //! `ema diagnose`.
 
-use super::{ActuatorArg, RecordingArgs, say};
+use super::{ActuatorArg, MAPS, MODEL, OUTPUT, RECORDING, RecordingArgs, say, say_json};
 use crate::case::{self, Case, Settings, quoted};
 use crate::map_table;
 use crate::refine::{self, Refined};
@@ -28,55 +28,64 @@ enum Method {
 
 #[derive(Args)]
 pub struct DiagnoseArgs {
-    /// Telemetry: the project's Parquet; a table with columns t, com, theta_m, omega_m and i_eq or i_a, i_b, i_c in CSV
+    /// Telemetry: a recording, a table of any program, or a dataset
+    ///
+    /// The project's Parquet; a table with columns t, com, theta_m, omega_m and i_eq or i_a, i_b, i_c in CSV
     /// (any separator, decimal comma, units in the header or below it, gzip, zstd), Parquet or Arrow IPC of any program;
-    /// or a dataset (--run chooses the run)
+    /// or a dataset (--run chooses the run).
     file: PathBuf,
     /// Folder (or file) of saved maps; those of the actuator, made on first use, if left out
-    #[arg(long)]
+    #[arg(long, value_name = "PATH", help_heading = MAPS)]
     maps: Option<PathBuf>,
     /// FILE holds features, a row each test, in the columns of schemas/README.md; a diagnosis each
-    #[arg(long, requires = "maps", conflicts_with_all = ["refine", "unit", "plot", "run"])]
+    #[arg(long, help_heading = RECORDING, requires = "maps", conflicts_with_all = ["refine", "unit", "plot", "run"])]
     features: bool,
-    /// Keys for programs
-    #[arg(long)]
+    /// Keys for programs (schemas/json/diagnose.schema.json)
+    #[arg(long, help_heading = OUTPUT)]
     json: bool,
     /// Run of a file or dataset that holds several
-    #[arg(long)]
+    #[arg(long, value_name = "N", help_heading = RECORDING)]
     run: Option<u64>,
     #[command(flatten)]
     recording: RecordingArgs,
     /// Grid of maps made on first use
-    #[arg(long, default_value = "fine")]
+    #[arg(long, default_value = "fine", help_heading = MAPS)]
     grid: String,
-    /// Spread from unit to unit that the intervals allow for: none (the recording is of the very actuator
-    /// of the maps), fleet (all values assumed), a TOML file, or own: as well as the actuator's file says that it was
-    /// identified by a study, else none
-    #[arg(long, default_value = "own")]
+    /// Spread from unit to unit that the intervals allow for: none, fleet, own, or a TOML file
+    ///
+    /// none: the recording is of the very actuator of the maps; fleet: all values assumed; own: as well as the actuator's
+    /// file says that it was identified by a study, else none.
+    #[arg(long, default_value = "own", help_heading = MAPS)]
     spread: String,
-    /// What is known of the unit, KEY=NUMBER, of supply_voltage_v, winding_temperature_degc,
-    /// phase_resistance_ohm, back_emf_v_s_per_rad, inertia_kg_m2, dynamic_ratio, rest_angle_rad, phase_inductance_h,
-    /// viscous_n_m_s_per_rad; it narrows a spread
-    #[arg(long, value_name = "KEY=NUMBER", value_delimiter = ',')]
+    /// What is known of the unit; it narrows a spread
+    ///
+    /// KEY is one of supply_voltage_v, winding_temperature_degc, phase_resistance_ohm, back_emf_v_s_per_rad,
+    /// inertia_kg_m2, dynamic_ratio, rest_angle_rad, phase_inductance_h, viscous_n_m_s_per_rad.
+    #[arg(long, value_name = "KEY=NUMBER", value_delimiter = ',', help_heading = MODEL)]
     known: Vec<String>,
-    /// File of the unit that was tested (ema unit): what its own tests say of its constants; faults are then relative to
-    /// the healthy unit
-    #[arg(long, value_name = "UNIT", conflicts_with_all = ["actuator", "maps", "spread", "refine"])]
+    /// File of the unit that was tested (ema unit)
+    ///
+    /// What its own tests say of its constants; faults are then relative to the healthy unit.
+    #[arg(long, value_name = "UNIT", help_heading = MODEL, conflicts_with_all = ["actuator", "maps", "spread", "refine"])]
     unit: Option<PathBuf>,
-    /// How maps are inverted: joint (all of them together, intervals of stated coverage), or the paper's own construction
-    /// with P1, P2 and P3 (5.1), which states none
-    #[arg(long, value_enum, default_value_t = Method::Joint)]
+    /// How maps are inverted
+    ///
+    /// joint: all of them together, intervals of stated coverage; paper: its own construction with P1, P2 and P3 (5.1),
+    /// which states none.
+    #[arg(long, value_enum, default_value_t = Method::Joint, help_heading = MAPS)]
     method: Method,
-    /// Also fit the faults, and the unit's causes, by running the test bench itself: some seconds, and what the maps
-    /// lose against it
-    #[arg(long)]
+    /// Also fit the faults by running the test bench itself
+    ///
+    /// The unit's causes too: it takes some seconds, and shows what the maps lose against it.
+    #[arg(long, help_heading = MAPS)]
     refine: bool,
     /// Share of tests whose true pair the intervals hold
-    #[arg(long, default_value_t = diagnoser::calibration::COVERAGE)]
+    #[arg(long, default_value_t = diagnoser::calibration::COVERAGE, help_heading = MAPS)]
     coverage: f64,
-    /// Also write the page diagnosis.html into this folder (what was found, how sure, what to do next, the located area,
-    /// maps and cuts), and each of its figures as SVG
-    #[arg(long, value_name = "DIR")]
+    /// Also write the page diagnosis.html and its figures into this folder
+    ///
+    /// What was found, how sure, what to do next, the located area, maps and cuts; each figure as SVG too.
+    #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     plot: Option<PathBuf>,
     #[command(flatten)]
     actuator: ActuatorArg,
@@ -150,7 +159,7 @@ fn of_features(a: &DiagnoseArgs, choice: &Choice) -> Result<ExitCode> {
                 .fault
                 .map(|f| serde_json::json!({"fsj": f.fsj, "zeta": f.zeta}))
                 .into();
-            say(&json.to_string());
+            say_json(json);
             continue;
         }
         let area = d.outcome.area().map(|x| {
@@ -254,7 +263,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         if let Some(page) = &page {
             json["page"] = page.display().to_string().into();
         }
-        say(&json.to_string());
+        say_json(json);
     } else {
         say(&case::to_text(&case));
         for (i, said) in case.measured.said.iter().enumerate() {

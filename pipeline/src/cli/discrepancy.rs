@@ -1,6 +1,6 @@
 //! `ema discrepancy`.
 
-use super::say;
+use super::{MODEL, OUTPUT, RECORDING, say};
 use crate::Findings;
 use crate::case::{self, Case};
 use crate::discrepancy::{self, Request};
@@ -8,6 +8,7 @@ use crate::progress;
 use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::Outcome;
+use diagnoser::report::versioned;
 use ema_study::told::verify::Verification;
 use schemas::error::EXIT_LOSS;
 use std::path::PathBuf;
@@ -15,35 +16,41 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct DiscrepancyArgs {
-    /// The actuator's parameters, a TOML file, or `reference`: what the simulation believes. A bench file does without
-    /// for a rig that is no actuator of ours; recordings of telemetry are then taken for the reference actuator's
-    #[arg(long)]
+    /// The actuator's parameters, a TOML file, or `reference`
+    ///
+    /// What the simulation believes. A bench file does without for a rig that is no actuator of ours; recordings of
+    /// telemetry are then taken for the reference actuator's.
+    // a file of parameters has this name everywhere; the first one is still understood
+    #[arg(long = "actuator", alias = "model", value_name = "FILE", help_heading = MODEL)]
     model: Option<PathBuf>,
     /// What was measured: a bench file (datasets/benches/README.md), or one or more recordings of telemetry
-    #[arg(long, required = true, num_args = 1.., value_name = "FILE")]
+    #[arg(long, required = true, num_args = 1.., value_name = "FILE", help_heading = RECORDING)]
     bench: Vec<PathBuf>,
     /// The machine was healthy in all that was recorded: what is proven may be written into its model
-    #[arg(long)]
+    #[arg(long, help_heading = RECORDING)]
     healthy: bool,
-    /// Run the test bench and the simplified model under the recorded command, with the model as it was and with what
-    /// was found. Recordings of telemetry always are; of a bench file, where --model is the actuator that was recorded
-    #[arg(long)]
+    /// Also simulate the recorded command, with the model as it was and with what was found
+    ///
+    /// By the test bench and the simplified model. Recordings of telemetry always are; of a bench file, where --actuator
+    /// is the actuator that was recorded.
+    #[arg(long, help_heading = OUTPUT)]
     verify: bool,
-    /// Then diagnose these pre-flight tests of the same actuator with the model that was written, or with the model as
-    /// it was where none was written
-    #[arg(long, num_args = 1.., value_name = "RECORDING", requires = "out")]
+    /// Then diagnose these pre-flight tests of the same actuator
+    ///
+    /// With the model that was written, or with the model as it was where none was written.
+    #[arg(long, help_heading = OUTPUT, num_args = 1.., value_name = "RECORDING", requires = "out")]
     diagnose: Vec<PathBuf>,
     /// Folder for report.html, report.json and actuator.toml; nothing is written if left out
-    #[arg(long)]
+    #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     out: Option<PathBuf>,
-    /// report.json on standard output
-    #[arg(long)]
+    /// report.json on standard output (schemas/json/discrepancy.schema.json)
+    #[arg(long, help_heading = OUTPUT)]
     json: bool,
 }
 
 pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
-    let bar = progress::spinner();
-    let tell = |text: &str| bar.set_message(text.to_string());
+    let shown = progress::spinner("discrepancy");
+    let tell = |text: &str| shown.set_message(text);
     let request = Request {
         model: a.model.clone(),
         bench: a.bench.clone(),
@@ -51,7 +58,7 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
         verify: a.verify,
     };
     let study = discrepancy::study(&request, a.out.as_deref(), &tell)?;
-    bar.finish_and_clear();
+    drop(shown);
     let mut cases = Vec::new();
     for test in &a.diagnose {
         let case = discrepancy::diagnose(&study, test)?;
@@ -59,7 +66,7 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
     }
     if a.json {
         let json = discrepancy::to_json(&study.findings, (!a.diagnose.is_empty()).then_some(cases.as_slice()));
-        say(&serde_json::to_string_pretty(&json)?);
+        say(&serde_json::to_string_pretty(&versioned(json))?);
     } else {
         say(&to_text(&study.findings));
         let json = study.report.as_ref().map(|r| r.with_extension("json"));

@@ -1,6 +1,6 @@
 //! `ema maps`, which is `ema dataset maps`.
 
-use super::{RecordingArgs, say};
+use super::{RecordingArgs, say, say_json};
 use crate::case::Settings;
 use crate::dataset::Dataset;
 use crate::dataset::maps::{Chosen, MAPS, files, table};
@@ -23,9 +23,12 @@ pub struct MapsArgs {
     /// simulator or rig, with columns fsj, zeta and file (a recording each) or features (schemas/README.md): its full grid
     /// of faults makes the maps, repeats there their noise, and rows off the grid, 40 or more, calibrate them
     dataset: String,
-    /// Only the maps of this actuator of a fleet, as files into --out. Of a table: the parameter file whose constants features
-    /// are formed with
-    #[arg(long, value_name = "ID or FILE")]
+    /// Only the maps of this actuator of a fleet, as files into --out
+    #[arg(long, value_name = "ID")]
+    id: Option<String>,
+    /// Of a table: actuator parameters, a TOML file, whose constants features are formed with; the reference actuator
+    /// (values assumed) if left out. (Of a fleet, what --id is now.)
+    #[arg(long, value_name = "FILE")]
     actuator: Option<String>,
     /// Folder (or .parquet file) for the maps of one actuator; the dataset's own if left out and there is one
     #[arg(long)]
@@ -115,7 +118,9 @@ pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
     }
     let d = Dataset::open(&a.dataset)?;
     let alone = d.plan.actuators.len() == 1;
-    if !alone && a.actuator.is_none() {
+    // a file of parameters is called `--actuator` everywhere else
+    let id = a.id.as_deref().or(a.actuator.as_deref());
+    if !alone && id.is_none() {
         let one = [
             ("--out", a.out.is_some()),
             ("--rest-angle-deg", a.rest_angle_deg.is_some()),
@@ -127,14 +132,14 @@ pub fn maps(a: &MapsArgs) -> Result<ExitCode> {
                 "command line",
                 *option,
                 found,
-                "with --actuator ID: it is for the maps of one",
+                "with --id ID: it is for the maps of one",
             )
             .into());
         }
         return of_fleet(&d);
     }
     let chosen = Chosen {
-        actuator: a.actuator.as_deref(),
+        actuator: id,
         rest_angle_rad: a.rest_angle_deg.map(f64::to_radians),
         lenient: a.lenient,
     };
@@ -178,7 +183,7 @@ fn quality(a: &MapsArgs, file: &Path, set: FailureMapSet) -> Result<()> {
     };
     let quality = MapQuality::of(&choice.ready(file, set, &Vec::new())?);
     if a.json {
-        say(&quality.to_json().to_string());
+        say_json(quality.to_json());
     } else {
         say(&quality.to_text());
     }

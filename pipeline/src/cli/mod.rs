@@ -12,13 +12,15 @@ mod plot;
 mod prognosis;
 mod query;
 mod run;
+mod shell;
 mod simulate;
 mod stream;
 mod unit;
 
 use crate::Interrupted;
 use anyhow::Result;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use diagnoser::report::versioned;
 use ema_tables::ChannelMap;
 use schemas::error::{EXIT_INTERRUPTED, Error};
 use schemas::foreign;
@@ -35,9 +37,17 @@ const EXIT_CODES: &str = "Exit codes: 0 done (a diagnosis that finds no fault pa
     | 3 finished with loss: the diagnosis is incomplete, or a replay was not received or not diagnosed | 4 bad input: one line says file, place, value found and what \
     is allowed | 130 interrupted; what is done is kept";
 
+const SHORT: &str =
+    "ema COMMAND -h lists the options of a command, --help says all of them; ema --help has the exit codes";
+
+const ABOUT: &str = "Prognostics of electromechanical actuators with failure maps";
+
 #[derive(Parser)]
-#[command(name = "ema", version = VERSION, about = "Prognostics of electromechanical actuators with failure maps", after_help = EXIT_CODES)]
+#[command(name = "ema", version = VERSION, about = ABOUT, after_help = SHORT, after_long_help = EXIT_CODES)]
 struct Cli {
+    /// No progress and no notes on standard error; results and errors stay
+    #[arg(long, global = true, display_order = 900)]
+    quiet: bool,
     #[command(subcommand)]
     command: Commands,
 }
@@ -79,6 +89,8 @@ enum Commands {
     /// Carry the stream between computers, as Arrow IPC over TCP
     #[command(
         after_help = "Example: on one computer  ema bridge receive --listen 0.0.0.0:7745\n         \
+    on the other     ema bridge send --to HOST:7745",
+        after_long_help = "Example: on one computer  ema bridge receive --listen 0.0.0.0:7745\n         \
     on the other     ema bridge send --to HOST:7745\n--secret-file on both ends, or \
     --tls-cert, --tls-key and --tls-ca, keep strangers out; without them use it on a network that you trust."
     )]
@@ -94,7 +106,8 @@ enum Commands {
     Demo(demo::DemoArgs),
     /// Find where simulation and measurement disagree, name the missing effect, add it to the model
     #[command(
-        after_help = "Example: ema discrepancy --model reference --bench run1.csv run2.csv --healthy --out study\n\
+        after_help = "Example: ema discrepancy --actuator reference --bench run1.csv run2.csv --healthy --out study",
+        after_long_help = "Example: ema discrepancy --actuator reference --bench run1.csv run2.csv --healthy --out study\n\
         (then open study/report.html; study/actuator.toml is the model with what was found)\n\
         Verdicts: none, retune, named, named_with_remainder, ambiguous, unknown, candidate (nothing was held out to \
         prove it). Without --healthy, or health = \"healthy\" in the bench file, no model is written: friction and \
@@ -114,7 +127,8 @@ enum Commands {
     Unit(unit::UnitCommand),
     /// From diagnoses over time to the time that is left: trend, rate, law, remaining life, when to look again
     #[command(
-        after_help = "Example: ema prognosis diagnoses.jsonl --threshold fsj=4 --out prognosis    (a log of ema live --log)\n\
+        after_help = "Example: ema prognosis diagnoses.jsonl --threshold fsj=4 --out prognosis    (a log of ema live --log)",
+        after_long_help = "Example: ema prognosis diagnoses.jsonl --threshold fsj=4 --out prognosis    (a log of ema live --log)\n\
         Status: ok, doubtful, too_early (fewer than 5 tests with an interval), passed, refused; the reason says why.\n\
         RUL is the shortest interval of 90 %; without --fleet, or below 20 finished lives, it is a design figure. \
         Probabilities, priors and limits are assumed where no fleet has taught them."
@@ -141,6 +155,12 @@ enum Commands {
     // whose options are the other program's: it has the help, too
     #[command(disable_help_flag = true)]
     Query(query::QueryArgs),
+    /// Completions of this command line for a shell, on standard output
+    #[command(after_help = "Example: ema completions bash > ~/.local/share/bash-completion/completions/ema")]
+    Completions(shell::CompletionsArgs),
+    /// Manual pages, one for each command
+    #[command(after_help = "Example: ema man --out ~/.local/share/man/man1    (then: man ema-diagnose)")]
+    Man(shell::ManArgs),
 }
 
 #[derive(Args)]
@@ -154,7 +174,7 @@ struct BenchArgs {
 #[derive(Args, Default)]
 pub struct ActuatorArg {
     /// Actuator parameters, a TOML file; the reference actuator (values assumed) if left out
-    #[arg(long)]
+    #[arg(long, value_name = "FILE", help_heading = MODEL)]
     actuator: Option<PathBuf>,
 }
 
@@ -175,17 +195,28 @@ impl ActuatorArg {
     }
 }
 
+/// Heading of options that say how a recording is to be read.
+const RECORDING: &str = "Recording";
+/// Heading of options that choose the model.
+const MODEL: &str = "Actuator and test";
+/// Heading of options on maps and how far intervals reach.
+const MAPS: &str = "Maps and intervals";
+/// Heading of options that say what comes out, and where it goes.
+const OUTPUT: &str = "Output";
+/// Heading of options on time and shared memory.
+const STREAM: &str = "Stream";
+
 /// What a recording does not say of itself.
 #[derive(Args)]
 pub struct RecordingArgs {
     /// Sequence by name or TOML file; recognised from the command if left out
-    #[arg(long)]
+    #[arg(long, help_heading = RECORDING)]
     sequence: Option<String>,
     /// Sensor model: auto, none, reference, or a TOML file
-    #[arg(long, default_value = "auto")]
+    #[arg(long, default_value = "auto", help_heading = RECORDING)]
     sensors: String,
     /// Which column of a table is which channel, and in what unit: the section [channels] of a bench file
-    #[arg(long, value_name = "BENCH.toml")]
+    #[arg(long, value_name = "BENCH.toml", help_heading = RECORDING)]
     channels: Option<PathBuf>,
 }
 
@@ -196,9 +227,17 @@ impl RecordingArgs {
     }
 }
 
+/// The command line as it is described to its users: options, help, commands below commands.
+pub fn command() -> clap::Command {
+    Cli::command()
+}
+
 /// Parses the command line, works, and says how it ended.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
+    if cli.quiet {
+        sim_worker::quiet::be_quiet();
+    }
     crate::progress::catch_interrupts();
     let result = match cli.command {
         Commands::Run(a) => run::run(&a),
@@ -220,7 +259,9 @@ pub fn main() -> ExitCode {
         Commands::Plan(a) => dataset::plan(&a),
         Commands::Dataset(a) => dataset::dataset(&a),
         Commands::Export(a) => export::export(&a),
-        Commands::Query(_) => query::query(),
+        Commands::Query(_) => query::query(cli.quiet),
+        Commands::Completions(a) => shell::completions(&a),
+        Commands::Man(a) => shell::man(&a),
     };
     result.unwrap_or_else(|e| {
         // a closed pipe (ema ... | head) is not worth a word
@@ -238,6 +279,11 @@ pub fn main() -> ExitCode {
 pub fn say(text: &str) {
     use std::io::Write;
     let _ = writeln!(std::io::stdout(), "{}", foreign::lines(text.trim_end()));
+}
+
+/// Prints an object for programs, with the version of its keys.
+fn say_json(object: serde_json::Value) {
+    say(&versioned(object).to_string());
 }
 
 /// The first lines of a list.
@@ -261,7 +307,7 @@ fn bench(a: &BenchArgs) -> Result<ExitCode> {
             "sm_ns_per_simulated_us": s.sm_ns_per_simulated_us,
             "instruction_set": s.instruction_set,
         });
-        say(&v.to_string());
+        say_json(v);
     } else {
         say(&format!(
             "instruction set    {}\none run            {:.2} ns/step\n{} lanes           {:.2} ns/step/run\n\

@@ -1,6 +1,6 @@
 //! `ema prognosis`.
 
-use super::{ActuatorArg, say};
+use super::{ActuatorArg, OUTPUT, say, say_json};
 use crate::Interrupted;
 use crate::prognosis::learn::{Ends, Unit, learn, units_of};
 use crate::prognosis::live::foresight;
@@ -16,12 +16,18 @@ use clap::{Args, Subcommand};
 use diagnoser::prognosis::Fleet;
 use diagnoser::prognosis::fleet::{CALIBRATED, MOST_UNSEEN};
 use diagnoser::receive::foresight::Foresight;
+use diagnoser::report::versioned;
 use schemas::error::Error;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
+
+/// Heading of options on what was diagnosed.
+const HISTORY: &str = "History";
+/// Heading of options on what is foretold.
+const FORECAST: &str = "Forecast";
 
 #[derive(Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
@@ -44,53 +50,58 @@ enum Sub {
 
 #[derive(Args)]
 struct PrognosisArgs {
-    /// Diagnoses over time: a log of ema live (.jsonl, .parquet), a dataset that wears and was diagnosed, or a table (.csv, .parquet)
+    /// Diagnoses over time: a log of ema live, a dataset, or a table
+    ///
+    /// A log (.jsonl, .parquet), a dataset that wears and was diagnosed, or a table (.csv, .parquet)
     /// with the columns actuator, time (ISO, or a number) or cycle, outcome, fsj_lo, fsj_hi, fsj_estimate, zeta_lo ..., coverage
     #[arg(required = true)]
     history: Option<PathBuf>,
     #[command(flatten)]
     what: WhatArgs,
     /// What a fleet has taught, a file of ema prognosis learn
-    #[arg(long)]
+    #[arg(long, value_name = "FILE", help_heading = HISTORY)]
     fleet: Option<PathBuf>,
     /// Probability of having passed the threshold that is taken
-    #[arg(long, default_value_t = RISK, value_parser = risk)]
+    #[arg(long, default_value_t = RISK, value_parser = risk, help_heading = FORECAST)]
     risk: f64,
     /// One more time ahead at which the probability of failure is told, beside 10, 20 and 50 [units of the clock]
-    #[arg(long, value_parser = positive)]
+    #[arg(long, value_parser = positive, help_heading = FORECAST)]
     horizon: Option<f64>,
     /// Folder for trends.parquet, prognoses.parquet, alarms.parquet, figures and report.html
-    #[arg(long)]
+    #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     out: Option<PathBuf>,
-    /// Keys for programs: an object a line, for each actuator and threshold
-    #[arg(long)]
+    /// Keys for programs: an object a line, for each actuator and threshold (schemas/json/prognosis.schema.json)
+    #[arg(long, help_heading = OUTPUT)]
     json: bool,
     /// Read a growing log again whenever it has grown, and say what is new, until Ctrl-C
-    #[arg(long)]
+    #[arg(long, help_heading = OUTPUT)]
     follow: bool,
 }
 
 #[derive(Args)]
 struct WhatArgs {
-    /// Fault and the level that ends its life, such as fsj=4 or zeta=0.4; or stall=LOAD, a load torque at the motor such as 0.4Nm that is
-    /// no longer moved in time, by simulation; may be repeated. Left out: fsj=4 and zeta=0.4 where the table has them (assumed)
-    #[arg(long, value_name = "FAULT=LEVEL")]
+    /// Fault and the level that ends its life, such as fsj=4; may be repeated
+    ///
+    /// fsj=4, zeta=0.4; or stall=LOAD, a load torque at the motor such as 0.4Nm that is no longer moved in time, by
+    /// simulation. Left out: fsj=4 and zeta=0.4 where the table has them (assumed).
+    #[arg(long, value_name = "FAULT=LEVEL", help_heading = FORECAST)]
     threshold: Vec<String>,
     /// For stall=LOAD
     #[command(flatten)]
     actuator: ActuatorArg,
     /// In what time is counted; the clock in which laws fit better where a table has two
-    #[arg(long)]
+    #[arg(long, help_heading = HISTORY)]
     clock: Option<Clock>,
-    /// Repairs and other interventions (those of a dataset are found), a CSV file with the columns actuator, time or cycle, kind (repair, replacement,
-    /// lubrication, configuration, sensor), fault, note
-    #[arg(long)]
+    /// Repairs and other interventions, a CSV file; those of a dataset are found
+    ///
+    /// Columns: actuator, time or cycle, kind (repair, replacement, lubrication, configuration, sensor), fault, note.
+    #[arg(long, value_name = "FILE", help_heading = HISTORY)]
     events: Option<PathBuf>,
     /// Any bounded health indicator in place of FSJ and zeta: NAME, and NAME_lo, NAME_hi where they are known
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", help_heading = HISTORY)]
     column: Option<String>,
     /// Its level in a healthy unit; the median of a unit's first five tests where it is left out (assumed)
-    #[arg(long)]
+    #[arg(long, help_heading = HISTORY)]
     healthy: Option<f64>,
 }
 
@@ -103,10 +114,10 @@ struct LearnArgs {
     what: WhatArgs,
     /// Ends of lives, a CSV file with the columns actuator, time or cycle, event; without it lives end where tests have
     /// passed the threshold, or are about to
-    #[arg(long)]
+    #[arg(long, value_name = "FILE", help_heading = HISTORY)]
     truth: Option<PathBuf>,
     /// File to be written
-    #[arg(long)]
+    #[arg(long, value_name = "FILE", help_heading = OUTPUT)]
     out: PathBuf,
 }
 
@@ -118,16 +129,16 @@ struct ScoreArgs {
     #[command(flatten)]
     what: WhatArgs,
     /// Ends of lives, a CSV file with the columns actuator, time or cycle, event
-    #[arg(long)]
+    #[arg(long, value_name = "FILE", help_heading = HISTORY)]
     truth: PathBuf,
     /// What a fleet of other units has taught
-    #[arg(long)]
+    #[arg(long, value_name = "FILE", help_heading = HISTORY)]
     fleet: Option<PathBuf>,
     /// Folder for scores.csv, a row a forecast, and report.html with the reliability diagram
-    #[arg(long)]
+    #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     out: Option<PathBuf>,
     /// Keys for programs
-    #[arg(long)]
+    #[arg(long, help_heading = OUTPUT)]
     json: bool,
 }
 
@@ -210,7 +221,11 @@ fn foretold(a: &PrognosisArgs) -> Result<ExitCode> {
             said.insert(key, t.outlook.tests) != Some(t.outlook.tests)
         });
         for t in new {
-            say(&if a.json { to_json(t).to_string() } else { text(t) + "\n" });
+            if a.json {
+                say_json(to_json(t));
+            } else {
+                say(&(text(t) + "\n"));
+            }
         }
         if let Some(dir) = &a.out {
             let pages = written(dir, &told, &fleets)?;
@@ -354,7 +369,7 @@ fn scored(a: &ScoreArgs) -> Result<ExitCode> {
         }
         let lives = fleet.filter(|f| f.is_calibrated()).map(|f| f.lives.len());
         if a.json {
-            objects.push(score_json(&s, &t.fault, t.level, lives));
+            objects.push(versioned(score_json(&s, &t.fault, t.level, lives)));
         } else {
             say(&score_text(&s, &t.fault, t.level));
         }

@@ -15,7 +15,9 @@ pub struct QueryArgs {
 }
 
 /// Hands over to `ema-query`: its streams, its exit code.
-pub fn query() -> Result<ExitCode> {
+///
+/// * `quiet` whether `--quiet` was said before or after `query`
+pub fn query(quiet: bool) -> Result<ExitCode> {
     let here = std::env::current_exe().ok();
     let path = std::env::var_os("PATH").unwrap_or_default();
     let program = find(here.as_deref(), &path).ok_or_else(|| {
@@ -24,7 +26,13 @@ pub fn query() -> Result<ExitCode> {
     })?;
     let mut command = Command::new(&program);
     // as they are: clap has taken the first `--` for itself
-    command.args(std::env::args_os().skip_while(|a| a != "query").skip(1));
+    let mut all = std::env::args_os().skip(1);
+    let before = all.by_ref().take_while(|a| a != "query").any(|a| a == "--quiet");
+    let after: Vec<OsString> = all.collect();
+    if quiet && before && !after.iter().any(|a| a == "--quiet") {
+        command.arg("--quiet");
+    }
+    command.args(after);
     let failed = |e| Error::io(&program, "cannot be started", e).into();
     become_it(&mut command).map_err(failed)
 }

@@ -1,6 +1,6 @@
 //! `ema run`.
 
-use super::ActuatorArg;
+use super::{ActuatorArg, MODEL, OUTPUT};
 use crate::COMMIT;
 use crate::output::Writer;
 use anyhow::Result;
@@ -28,34 +28,34 @@ enum Model {
 #[derive(Args)]
 pub struct RunArgs {
     /// Friction factor FSJ (1 = healthy)
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, help_heading = MODEL)]
     fsj: f64,
     /// Static eccentricity zeta (0 = healthy)
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, help_heading = MODEL)]
     zeta: f64,
-    #[arg(long, default_value = "preflight", help = sequences())]
+    #[arg(long, default_value = "preflight", help = sequences(), help_heading = MODEL)]
     sequence: String,
     /// Telemetry rate [Hz]
-    #[arg(long, default_value_t = 10_000.0)]
+    #[arg(long, default_value_t = 10_000.0, help_heading = OUTPUT)]
     rate: f64,
-    #[arg(long, value_enum, default_value_t = Model::Ntb)]
+    #[arg(long, value_enum, default_value_t = Model::Ntb, help_heading = MODEL)]
     model: Model,
     /// FILE.csv or FILE.parquet
-    #[arg(long)]
+    #[arg(long, value_name = "FILE", help_heading = OUTPUT)]
     out: PathBuf,
     /// Rotor angle at rest [deg]
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = MODEL)]
     rest_angle_deg: f64,
     /// Constant load torque at the motor [N m]
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = MODEL)]
     load_n_m: f64,
-    /// none, reference, or a TOML file
-    #[arg(long, default_value = "none")]
+    /// Sensors: none, reference, or a TOML file
+    #[arg(long, default_value = "none", help_heading = OUTPUT)]
     sensors: String,
     /// Seed of the sensor noise
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, help_heading = OUTPUT)]
     seed: u64,
-    #[arg(long, value_delimiter = ',', help = additional_channels())]
+    #[arg(long, value_delimiter = ',', help = additional_channels(), help_heading = OUTPUT)]
     channels: Vec<String>,
     #[command(flatten)]
     actuator: ActuatorArg,
@@ -87,7 +87,7 @@ pub fn additional_channels() -> String {
 /// Help of `--sequence`.
 pub fn sequences() -> String {
     let names: Vec<&str> = sim_worker::catalogue::sequence_names().collect();
-    format!("{}, or a TOML file", names.join(", "))
+    format!("Sequence: {}, or a TOML file", names.join(", "))
 }
 
 pub fn run(a: &RunArgs) -> Result<ExitCode> {

@@ -1,6 +1,6 @@
 //! `ema simulate`.
 
-use super::{ActuatorArg, say};
+use super::{ActuatorArg, MODEL, OUTPUT, say};
 use crate::dataset;
 use anyhow::Result;
 use clap::{Args, ValueEnum};
@@ -22,33 +22,33 @@ enum Keep {
 
 #[derive(Args)]
 pub struct SimulateArgs {
-    /// standard (17 x 11), fine (33 x 21), coarse (5 x 3), or a TOML file
-    #[arg(long, default_value = "standard")]
+    /// Faults: standard (17 x 11), fine (33 x 21), coarse (5 x 3), or a TOML file
+    #[arg(long, default_value = "standard", help_heading = MODEL)]
     grid: String,
     /// Dataset: a folder, or s3://BUCKET/PREFIX
-    #[arg(long)]
+    #[arg(long, value_name = "URL", help_heading = OUTPUT)]
     out: String,
-    #[arg(long, default_value = "preflight", help = super::run::sequences())]
+    #[arg(long, default_value = "preflight", help = super::run::sequences(), help_heading = MODEL)]
     sequence: String,
     /// Telemetry rate [Hz]
-    #[arg(long, default_value_t = 10_000.0)]
+    #[arg(long, default_value_t = 10_000.0, help_heading = OUTPUT)]
     rate: f64,
-    /// none, reference, or a TOML file
-    #[arg(long, default_value = "none")]
+    /// Sensors: none, reference, or a TOML file
+    #[arg(long, default_value = "none", help_heading = OUTPUT)]
     sensors: String,
     /// Seed of the sensor noise of all runs
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, help_heading = OUTPUT)]
     seed: u64,
     /// What to store of each run
-    #[arg(long, value_enum, default_value_t = Keep::Both)]
+    #[arg(long, value_enum, default_value_t = Keep::Both, help_heading = OUTPUT)]
     keep: Keep,
     /// Rotor angles at rest [deg]
-    #[arg(long, value_delimiter = ',', default_value = "0", allow_negative_numbers = true)]
+    #[arg(long, value_delimiter = ',', default_value = "0", allow_negative_numbers = true, help_heading = MODEL)]
     rest_angle_deg: Vec<f64>,
     /// Constant load torque at the motor [N m]
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = MODEL)]
     load_n_m: f64,
-    #[arg(long, value_delimiter = ',', help = super::run::additional_channels())]
+    #[arg(long, value_delimiter = ',', help = super::run::additional_channels(), help_heading = OUTPUT)]
     channels: Vec<String>,
     /// Threads; all cores if left out
     #[arg(long)]

@@ -1,7 +1,7 @@
 //! `ema live`, `ema replay`, `ema bench-live`, `ema bridge`.
 
 use super::run::{faults, finite};
-use super::{ActuatorArg, RecordingArgs, say};
+use super::{ActuatorArg, MAPS, MODEL, OUTPUT, RecordingArgs, STREAM, say};
 use crate::bridge::{Guard, Limits, Secret, TlsFiles};
 use crate::case::Settings;
 use crate::maps::{self, MapRequest};
@@ -19,6 +19,7 @@ use schemas::channel::ChannelSet;
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error};
 use schemas::fault::{FaultGrid, FaultState};
 use schemas::foreign;
+use sim_worker::quiet;
 use sim_worker::sensor::SensorModel;
 use sim_worker::setup::TestSetup;
 use sim_worker::simulate::{Experiment, Run};
@@ -29,28 +30,33 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+/// Heading of options on remaining lives.
+const FORESIGHT: &str = "Remaining life";
+
 #[derive(Args)]
 pub struct LiveCommand {
     #[command(flatten)]
     live: LiveArgs,
     /// Grid of maps made on first use
-    #[arg(long, default_value = "fine")]
+    #[arg(long, default_value = "fine", help_heading = MAPS)]
     grid: String,
     /// Make no maps: a test without saved ones is incomplete
-    #[arg(long)]
+    #[arg(long, help_heading = MAPS)]
     no_make: bool,
-    /// What was diagnosed before, as ema prognosis takes it (an earlier log, a table, a dataset): the view then shows rate and remaining
-    /// life of each actuator, and goes on from there with each final diagnosis
-    #[arg(long, value_name = "FILE")]
+    /// What was diagnosed before, as ema prognosis takes it: the view then shows remaining lives
+    ///
+    /// An earlier log, a table, or a dataset. The view shows rate and remaining life of each actuator, and goes on from there
+    /// with each final diagnosis.
+    #[arg(long, value_name = "FILE", help_heading = FORESIGHT)]
     history: Option<PathBuf>,
     /// Fault and the level that ends its life, such as fsj=4; may be repeated [default: fsj=4 and zeta=0.4]
-    #[arg(long, value_name = "FAULT=LEVEL", requires = "history")]
+    #[arg(long, value_name = "FAULT=LEVEL", requires = "history", help_heading = FORESIGHT)]
     threshold: Vec<String>,
     /// Repairs, as ema prognosis takes them
-    #[arg(long, value_name = "FILE", requires = "history")]
+    #[arg(long, value_name = "FILE", requires = "history", help_heading = FORESIGHT)]
     events: Option<PathBuf>,
     /// What a fleet has taught, a file of ema prognosis learn
-    #[arg(long, value_name = "FILE", requires = "history")]
+    #[arg(long, value_name = "FILE", requires = "history", help_heading = FORESIGHT)]
     fleet: Option<PathBuf>,
 }
 
@@ -60,7 +66,7 @@ pub fn live(a: &LiveCommand) -> Result<ExitCode> {
     let choice = a.live.choice()?;
     let source = if a.live.maps.is_empty() {
         // the live view owns the terminal
-        crate::progress::be_quiet();
+        crate::progress::leave_terminal();
         let maker = Maker {
             known: known.clone(),
             models,
@@ -162,26 +168,27 @@ pub struct ReplayArgs {
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// Times real time, or max
-    #[arg(long, default_value = "1")]
+    #[arg(long, default_value = "1", help_heading = STREAM)]
     speed: String,
     /// Duration of a frame [ms]
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, help_heading = STREAM)]
     frame_ms: f64,
     /// How long to wait for a subscriber [s]
-    #[arg(long, default_value_t = 30.0)]
+    #[arg(long, default_value_t = 30.0, help_heading = WAITING)]
     wait: f64,
-    /// Wait for the final diagnosis of every run that has been received; without one, or with an incomplete one,
-    /// the exit code is 3. auto: where a diagnoser is in the domain
-    #[arg(long, value_enum, default_value_t = Await::Auto)]
+    /// Wait for the final diagnosis of every run that has been received
+    ///
+    /// Without one, or with an incomplete one, the exit code is 3. auto: where a diagnoser is in the domain.
+    #[arg(long, value_enum, default_value_t = Await::Auto, help_heading = WAITING)]
     diagnosis: Await,
     /// How long to wait for the diagnosis [s]
-    #[arg(long, default_value_t = 120.0, value_name = "S")]
+    #[arg(long, default_value_t = 120.0, value_name = "S", help_heading = WAITING)]
     diagnosis_wait: f64,
     /// Name of the actuator in the frames, instead of the recording's
-    #[arg(long)]
+    #[arg(long, help_heading = STREAM)]
     id: Option<String>,
     /// Number of the first run in the frames, instead of the recording's
-    #[arg(long)]
+    #[arg(long, help_heading = STREAM)]
     run: Option<u64>,
     #[command(flatten)]
     recording: RecordingArgs,
@@ -190,6 +197,9 @@ pub struct ReplayArgs {
     #[command(flatten)]
     actuator: ActuatorArg,
 }
+
+/// Heading of options on patience.
+const WAITING: &str = "Waiting";
 
 fn positive(what: &str, x: f64, most: f64) -> Result<f64> {
     if x.is_finite() && x > 0.0 && x <= most {
@@ -289,42 +299,42 @@ fn tell(d: &Delivered) {
 #[derive(Args)]
 pub struct BenchLiveArgs {
     /// Friction factor FSJ (1 = healthy)
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, help_heading = MODEL)]
     fsj: f64,
     /// Static eccentricity zeta (0 = healthy)
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, help_heading = MODEL)]
     zeta: f64,
     /// Draw the faults of every actuator and test from FSJ 1..5, zeta 0..0.5 with this seed
-    #[arg(long, conflicts_with_all = ["fsj", "zeta"])]
+    #[arg(long, conflicts_with_all = ["fsj", "zeta"], help_heading = MODEL)]
     random_faults: Option<u64>,
     /// Actuators tested side by side
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = STREAM)]
     actuators: u32,
     /// Name of the actuator; of several, what their names begin with
-    #[arg(long, default_value = "bench")]
+    #[arg(long, default_value = "bench", help_heading = STREAM)]
     id: String,
     /// Tests one after the other; 0: until Ctrl-C
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, help_heading = STREAM)]
     tests: u64,
-    #[arg(long, default_value = "preflight", help = super::run::sequences())]
+    #[arg(long, default_value = "preflight", help = super::run::sequences(), help_heading = MODEL)]
     sequence: String,
     /// Telemetry rate [Hz]
-    #[arg(long, default_value_t = 10_000.0)]
+    #[arg(long, default_value_t = 10_000.0, help_heading = OUTPUT)]
     rate: f64,
     /// Duration of a frame [ms]
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, help_heading = STREAM)]
     frame_ms: f64,
-    /// none, reference, or a TOML file
-    #[arg(long, default_value = "reference")]
+    /// Sensors: none, reference, or a TOML file
+    #[arg(long, default_value = "reference", help_heading = OUTPUT)]
     sensors: String,
     /// Seed of the sensor noise
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, help_heading = OUTPUT)]
     seed: u64,
     /// Rotor angle at rest [deg]
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = MODEL)]
     rest_angle_deg: f64,
     /// Constant load torque at the motor [N m]
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = MODEL)]
     load_n_m: f64,
     #[command(flatten)]
     domain: DomainArg,
@@ -378,7 +388,7 @@ pub fn bench_live(a: &BenchLiveArgs) -> Result<ExitCode> {
             say(&format!("{name} run {number}: FSJ {:.4}, zeta {:.5}", f.fsj, f.zeta));
         }
         let lost: u64 = o.lost.iter().map(|(_, n)| n).sum();
-        eprintln!(
+        let line = format!(
             "test {number}: {} frames, {lost} lost, {} with nobody there, {} of {} actuators answered; \
              {} frames late, by {:.1} ms at most",
             o.frames,
@@ -388,6 +398,11 @@ pub fn bench_live(a: &BenchLiveArgs) -> Result<ExitCode> {
             o.late,
             o.worst_delay_s * 1e3
         );
+        // a loss is no note
+        match lost + o.unheard {
+            0 => quiet::note(&line),
+            _ => eprintln!("{line}"),
+        }
         for (name, n) in o.lost.iter().take(10) {
             eprintln!("lost: {n} frames of {name}");
         }
@@ -401,6 +416,11 @@ pub fn bench_live(a: &BenchLiveArgs) -> Result<ExitCode> {
     })
 }
 
+/// Heading of options on what a peer can make a bridge do.
+const BOUNDS: &str = "Bounds";
+/// Heading of options that keep strangers out.
+const TRUST: &str = "Secret and certificates";
+
 #[derive(Args)]
 pub struct BridgeArgs {
     #[command(subcommand)]
@@ -412,10 +432,10 @@ enum Direction {
     /// Send the telemetry of this computer's domain to another computer
     Send {
         /// HOST:PORT of the receiving bridge
-        #[arg(long, default_value = "127.0.0.1:7745")]
+        #[arg(long, default_value = "127.0.0.1:7745", help_heading = STREAM)]
         to: String,
         /// Name in the receiving bridge's certificate, instead of HOST
-        #[arg(long, requires = "tls_cert")]
+        #[arg(long, requires = "tls_cert", help_heading = TRUST)]
         tls_name: Option<String>,
         #[command(flatten)]
         common: BridgeCommon,
@@ -423,16 +443,16 @@ enum Direction {
     /// Publish in this computer's domain what another computer sends
     Receive {
         /// ADDRESS:PORT to listen on; port 0 takes a free one
-        #[arg(long, default_value = "127.0.0.1:7745")]
+        #[arg(long, default_value = "127.0.0.1:7745", help_heading = STREAM)]
         listen: String,
         /// Senders connected at once; each takes one of the domain's 64 publishers
-        #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=60))]
+        #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=60), help_heading = BOUNDS)]
         most_connections: u32,
         /// Longest message from a sender [kB]; a frame of all channels takes 128
-        #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u32).range(256..=65_536))]
+        #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u32).range(256..=65_536), help_heading = BOUNDS)]
         most_message_kb: u32,
         /// Streams (actuators under test) of a sender at once
-        #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+        #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=65_536), help_heading = BOUNDS)]
         most_streams: u32,
         #[command(flatten)]
         common: BridgeCommon,
@@ -442,22 +462,22 @@ enum Direction {
 #[derive(Args)]
 struct BridgeCommon {
     /// How long to wait for the other bridge, or for a subscriber [s]
-    #[arg(long, default_value_t = 30.0)]
+    #[arg(long, default_value_t = 30.0, help_heading = WAITING)]
     wait: f64,
     /// How long the other bridge may say nothing before it is given up [s]; each says that it is alive four times as often
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, help_heading = WAITING)]
     idle: f64,
     /// File with a secret of at least 16 bytes, the same on both sides; it never goes over the network
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = TRUST)]
     secret_file: Option<PathBuf>,
     /// This side's certificate (PEM): both sides encrypt, and show each other certificates (TLS 1.3)
-    #[arg(long, value_name = "FILE", requires_all = ["tls_key", "tls_ca"])]
+    #[arg(long, value_name = "FILE", requires_all = ["tls_key", "tls_ca"], help_heading = TRUST)]
     tls_cert: Option<PathBuf>,
     /// Private key of --tls-cert (PEM)
-    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    #[arg(long, value_name = "FILE", requires = "tls_cert", help_heading = TRUST)]
     tls_key: Option<PathBuf>,
     /// Authorities that the other side's certificate may be of (PEM)
-    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    #[arg(long, value_name = "FILE", requires = "tls_cert", help_heading = TRUST)]
     tls_ca: Option<PathBuf>,
     #[command(flatten)]
     domain: DomainArg,
@@ -524,9 +544,9 @@ pub fn bridge(a: &BridgeArgs) -> Result<ExitCode> {
             bridge::receive(&common.domain.open()?, listen, &guard, limits, &go_on, &tell)?
         }
     };
-    eprintln!(
+    quiet::note(&format!(
         "{} frames of {} streams over {} connections",
         t.frames, t.streams, t.connections
-    );
+    ));
     Ok(ExitCode::from(EXIT_INTERRUPTED))
 }

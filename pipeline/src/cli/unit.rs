@@ -1,6 +1,6 @@
 //! `ema unit`.
 
-use super::{ActuatorArg, RecordingArgs, say};
+use super::{ActuatorArg, RecordingArgs, say, say_json};
 use crate::case::{Settings, quoted};
 use crate::unit::{Beginning, Kinds, REFERENCE, Shown, begin, constants, show, to_json};
 use anyhow::Result;
@@ -75,13 +75,17 @@ pub fn unit(c: &UnitCommand) -> Result<ExitCode> {
         UnitCommand::Update(a) => update(a),
         UnitCommand::Show(a) => {
             let unit = UnitFile::load(&a.unit)?;
-            say(&if a.json {
-                to_json(&unit).to_string()
-            } else {
-                text(&unit)
-            });
+            told(&unit, a.json);
             Ok(ExitCode::SUCCESS)
         }
+    }
+}
+
+fn told(unit: &UnitFile, as_json: bool) {
+    if as_json {
+        say_json(to_json(unit));
+    } else {
+        say(&text(unit));
     }
 }
 
@@ -137,11 +141,7 @@ fn update(a: &UpdateArgs) -> Result<ExitCode> {
         }
         shown.push(what);
     }
-    say(&if a.json {
-        to_json(&unit).to_string()
-    } else {
-        text(&unit)
-    });
+    told(&unit, a.json);
     let refused = shown.iter().any(|s| matches!(s, Shown::Refused(_)));
     Ok(if refused {
         ExitCode::from(EXIT_LOSS)

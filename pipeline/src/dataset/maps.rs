@@ -146,7 +146,7 @@ impl Chosen<'_> {
             );
             ids()
                 .position(|x| x == id)
-                .ok_or_else(|| Error::bad("command line", "--actuator", id, allowed))
+                .ok_or_else(|| Error::bad("command line", "--id", id, allowed))
         });
         let rest = self.rest_angle_rad.map(|a| {
             let list: Vec<String> = angles.iter().map(|a| format!("{:.1}", a.to_degrees())).collect();

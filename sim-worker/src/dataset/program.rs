@@ -9,11 +9,9 @@ use crate::progress::{Progress, catch_interrupts, interrupted, with_bar};
 use clap::Parser;
 use clap::builder::RangedU64ValueParser;
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error, Result};
-use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 const AFTER: &str = "\
@@ -57,38 +55,9 @@ struct Program {
     #[arg(long, env = "SLURM_CPUS_PER_TASK", hide_env = true, value_name = "N",
         value_parser = RangedU64ValueParser::<usize>::new().range(1..=MOST_JOBS))]
     jobs: Option<usize>,
-}
-
-/// Says how far it is every half minute, where nobody watches a bar.
-fn with_lines<T>(progress: &Arc<Progress>, total: u64, work: impl FnOnce() -> T) -> T {
-    const EVERY: Duration = Duration::from_secs(30);
-    if std::io::stderr().is_terminal() {
-        return work();
-    }
-    let done = Arc::new(AtomicBool::new(false));
-    let (ended, progress) = (done.clone(), progress.clone());
-    let thread = std::thread::spawn(move || {
-        let start = Instant::now();
-        let mut said = start;
-        let mut before = None;
-        while !ended.load(Ordering::Relaxed) {
-            std::thread::park_timeout(Duration::from_millis(500));
-            let runs = progress.runs.load(Ordering::Relaxed);
-            let first = *before.get_or_insert(runs);
-            if said.elapsed() < EVERY || runs == first {
-                continue;
-            }
-            said = Instant::now();
-            let rate = (runs - first) as f64 / start.elapsed().as_secs_f64();
-            let left = (total.saturating_sub(runs)) as f64 / rate;
-            eprintln!("{runs} of {total} runs, {rate:.1} runs/s, {left:.0} s left");
-        }
-    });
-    let result = work();
-    done.store(true, Ordering::Relaxed);
-    thread.thread().unpark();
-    let _ = thread.join();
-    result
+    /// No progress on standard error; results and errors stay
+    #[arg(long)]
+    quiet: bool,
 }
 
 /// Works through a share with a progress display. `Ok(None)` where it was interrupted.
@@ -102,9 +71,7 @@ pub fn work_shown(plan: &DatasetPlan, storage: &Storage, shard: Shard, title: &s
         .iter()
         .map(|p| p.runs.end - p.runs.start)
         .sum();
-    with_lines(&progress, total, || {
-        with_bar(title, total, &progress, || work(plan, storage, shard, &progress))
-    })
+    with_bar(title, total, &progress, || work(plan, storage, shard, &progress))
 }
 
 /// What a worker has done, in words.
@@ -216,6 +183,9 @@ pub fn end_when_interrupted(program: &'static str) {
 /// The program `sim-worker`.
 pub fn main() -> ExitCode {
     let program = Program::parse();
+    if program.quiet {
+        crate::quiet::be_quiet();
+    }
     catch_interrupts();
     end_when_interrupted("sim-worker");
     run(&program).unwrap_or_else(|e| {

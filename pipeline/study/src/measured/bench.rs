@@ -491,7 +491,7 @@ fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
         let of = |a: &ActuatorParameters| a.torque_constant_n_m_per_a();
         let k = take(s, "drive_constant", Quantity::DriveConstant, of, place, 0.0)?;
         if k.value <= 0.0 {
-            return Err(s.bad("drive_constant", "nothing", "the torque of a drive unit, or --model"));
+            return Err(s.bad("drive_constant", "nothing", "the torque of a drive unit, or --actuator"));
         }
         k
     };

@@ -96,7 +96,7 @@ pub fn next(f: &mut Findings, out: Option<&Path>, model: Option<&Path>, bench: &
     let model_option = if f.model.is_empty() {
         String::new()
     } else {
-        format!(" --model {}", f.model)
+        format!(" --actuator {}", f.model)
     };
     let study = format!("ema discrepancy{model_option} --bench {bench} --out study");
     if let Some((e, title, why)) = experiment {

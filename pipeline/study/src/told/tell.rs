@@ -531,7 +531,10 @@ fn assumptions(m: &Material) -> Vec<String> {
         })
         .collect();
     if !known.is_empty() {
-        out.push(format!("not said by the bench, and no --model: {}", known.join(", ")));
+        out.push(format!(
+            "not said by the bench, and no --actuator: {}",
+            known.join(", ")
+        ));
     }
     for (c, late) in m.found_delays() {
         out.push(format!(
