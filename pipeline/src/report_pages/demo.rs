@@ -158,7 +158,7 @@ fn around(path: &Path) -> Around {
     Around {
         next: Some((
             format!(
-                "ema discrepancy --model {} --bench {recording} --out study",
+                "ema discrepancy --actuator {} --bench {recording} --out study",
                 crate::discrepancy::REFERENCE
             ),
             "finds what is missing from the model".into(),
