@@ -77,9 +77,9 @@ fn e2e_live_replay_and_offline_give_the_same_bits() {
     // and the recordings made meanwhile are the recording
     let files: Vec<PathBuf> = std::fs::read_dir(&rec).unwrap().flatten().map(|e| e.path()).collect();
     assert_eq!(files.len(), 2, "{files:?}");
-    let original = pipeline::input::open(file, None).unwrap();
+    let original = pipeline::input::open(file, Default::default()).unwrap();
     for f in &files {
-        let copy = pipeline::input::open(f, None).unwrap();
+        let copy = pipeline::input::open(f, Default::default()).unwrap();
         for c in original.telemetry.header.as_ref().unwrap().channels.iter() {
             assert_eq!(original.telemetry.column(c), copy.telemetry.column(c), "{}", c.name());
         }

@@ -80,7 +80,7 @@ pub fn same(offline: &Value, live: &Value) {
 /// The recording in memory, and how it is announced.
 pub fn take() -> (Collector, RunDescription) {
     let (file, _) = recording();
-    let m = pipeline::input::open(file, None).unwrap();
+    let m = pipeline::input::open(file, Default::default()).unwrap();
     let about = announced(&m, 5);
     (m.telemetry, about)
 }
