@@ -185,7 +185,7 @@ fn cut_maps(
             (format!("{stem}_map_{}", m.feature.name()), Figure::Map(plot)),
         )
     };
-    let mut all: Vec<_> = diagnoser.maps.maps.iter().map(one).collect();
+    let mut all: Vec<_> = diagnoser.shown_maps().map(one).collect();
     all.sort_by_key(|m| !of_paper(m.0));
     all
 }

@@ -132,7 +132,6 @@ fn terms(out: &mut String, terms: &[(String, String)]) -> Result<()> {
 fn layout(layout: Layout) -> String {
     match layout {
         Layout::Pairs => String::new(),
-        Layout::Three => " class=\"three\"".into(),
         Layout::One => " class=\"one\"".into(),
         Layout::Columns(rows) => format!(" class=\"columns\" style=\"--rows: {rows}\""),
         Layout::Broad => " class=\"broad\"".into(),

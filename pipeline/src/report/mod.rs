@@ -162,8 +162,6 @@ pub enum Layout {
     /// Two side by side.
     #[default]
     Pairs,
-    /// Three side by side.
-    Three,
     /// One below the other.
     One,
     /// Down the first column, then down the second, so many in each.

@@ -6,7 +6,7 @@ use crate::COMMIT;
 use crate::case::Case;
 use crate::digits;
 use crate::prognosis::words::short;
-use crate::report::{Figure, Layout, Lead, Report, Section, Table, TableRow};
+use crate::report::{Figure, Lead, Report, Section, Table, TableRow};
 use diagnoser::diagnosis::Outcome;
 use schemas::channel::Channel;
 use schemas::fault::FaultState;
@@ -124,16 +124,15 @@ pub(super) fn measured_section(title: &str, shown: &Shown) -> Section {
     let maps = cut_maps(shown.stem, &shown.case.diagnoser, &shown.case.diagnosis, shown.truth);
     let (three, others): (Vec<_>, Vec<_>) = maps.into_iter().partition(|m| of_paper(m.0));
     let folded = [
-        ("Maps and cuts: P1, P2, P3", three, Layout::Three),
-        ("Maps and cuts of the other features", others, Layout::Three),
+        ("Maps and cuts: P1, P2, P3", three),
+        ("Maps and cuts of the other features", others),
     ];
     let folded = folded
         .into_iter()
         .filter(|f| !f.1.is_empty())
-        .map(|(title, maps, layout)| Section {
+        .map(|(title, maps)| Section {
             title: title.into(),
             figures: maps.into_iter().map(|m| m.1).collect(),
-            layout,
             ..Section::default()
         });
     Section {
