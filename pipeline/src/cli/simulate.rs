@@ -51,7 +51,7 @@ pub struct SimulateArgs {
     #[arg(long, value_delimiter = ',', help = super::run::additional_channels(), help_heading = OUTPUT)]
     channels: Vec<String>,
     /// Threads; all cores if left out
-    #[arg(long)]
+    #[arg(long, value_name = "N", help_heading = OUTPUT)]
     jobs: Option<usize>,
     #[command(flatten)]
     actuator: ActuatorArg,
