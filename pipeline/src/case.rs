@@ -340,7 +340,10 @@ pub fn next_command(file: &Path, unit: Option<(&UnitFile, &Path)>, actuator: Opt
     let of_unit = unit.map(|(u, _)| Path::new(&u.source)).filter(|p| p.exists());
     let model = of_unit.or(actuator);
     let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
-    let study = format!("ema discrepancy --actuator {model} --bench {} --out study", quoted(file));
+    let study = format!(
+        "ema discrepancy --actuator {model} --bench {} --out study",
+        quoted(file)
+    );
     (study, "finds what is missing from the model")
 }
 

@@ -104,5 +104,5 @@ pub fn diagnose<'py>(
         };
         work(source, settings, &asked)
     })?;
-    json::to_py(py, &told)
+    json::printed(py, told)
 }

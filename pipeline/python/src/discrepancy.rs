@@ -50,5 +50,5 @@ pub fn discrepancy<'py>(
         let cases = (!diagnose.is_empty()).then_some(cases.as_slice());
         Ok(study::to_json(&written.findings, cases))
     })?;
-    json::to_py(py, &told)
+    json::printed(py, told)
 }

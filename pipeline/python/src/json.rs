@@ -1,8 +1,18 @@
 //! JSON as objects of Python.
 
+use diagnoser::report::versioned;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use serde_json::Value;
+
+/// What a command of the program prints: an object, or a list of them, with the version of their keys.
+pub fn printed<'py>(py: Python<'py>, value: Value) -> PyResult<Bound<'py, PyAny>> {
+    let value = match value {
+        Value::Array(all) => all.into_iter().map(versioned).collect(),
+        one => versioned(one),
+    };
+    to_py(py, &value)
+}
 
 /// The object that `json.loads` makes of the same text.
 pub fn to_py<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {

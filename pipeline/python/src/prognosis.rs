@@ -75,5 +75,5 @@ pub fn prognosis<'py>(
         };
         Ok(Value::Array(told.iter().map(one).collect()))
     })?;
-    json::to_py(py, &told)
+    json::printed(py, told)
 }

@@ -33,7 +33,7 @@ pub fn unit_new<'py>(
         };
         Ok(to_json(&begin(&unit, beginning)?))
     })?;
-    json::to_py(py, &told)
+    json::printed(py, told)
 }
 
 #[pyfunction]
@@ -70,11 +70,11 @@ pub fn unit_update<'py>(
         }
         Ok(to_json(&of))
     })?;
-    json::to_py(py, &told)
+    json::printed(py, told)
 }
 
 #[pyfunction]
 pub fn unit_show(py: Python<'_>, unit: PathBuf) -> PyResult<Bound<'_, PyAny>> {
     let told = long(py, None, None, move |_| Ok(to_json(&UnitFile::load(&unit)?)))?;
-    json::to_py(py, &told)
+    json::printed(py, told)
 }
