@@ -50,7 +50,7 @@ mod tests {
     fn exponents_keep_to_it_too() {
         assert_eq!(scientific(5.306_955e-2, 2.6e-4), "5.307e-2");
         assert_eq!(scientific(2.920_940, 5.1e-2), "2.921e0");
-        assert_eq!(scientific(2.920_940, 7.0), "3e0");
+        assert_eq!(scientific(2.920_940, 25.0), "3e0");
         assert_eq!(scientific(5.306_955e-2, f64::NAN), "5.306955e-2");
         assert_eq!(scientific(0.0, 1e-3), "0.000000e0");
     }

@@ -91,14 +91,15 @@ fn lead(out: &mut String, lead: &Lead) -> Result<()> {
     if !lead.points.is_empty() {
         out.push_str("<dl>\n");
         for (i, p) in lead.points.iter().enumerate() {
-            if i == 1 {
-                terms(out, &lead.terms)?;
-            }
             write!(out, "<div><dt>{}</dt><dd>{}", flowing(&p.label), flowing(&p.text))?;
             if let Some(command) = &p.command {
                 write!(out, "<pre class=\"wrap\"><code>{}</code></pre>", escape(command.trim()))?;
             }
             out.push_str("</dd></div>\n");
+            // where they were first used
+            if i == 0 {
+                terms(out, &lead.terms)?;
+            }
         }
         out.push_str("</dl>\n");
     }

@@ -165,7 +165,7 @@ fn the_conclusion_comes_first_and_names_stay_whole() {
         points: vec![point("Found", None), point("What next", Some("ema <i>"))],
         terms: vec![("FSJ".into(), "is friction.".into())],
         figure: Some(("plane".into(), Figure::Region(region(vec![], vec![])))),
-        caption: "where".into(),
+        caption: "the plane".into(),
     };
     let folded = Section {
         title: "Maps".into(),
@@ -191,12 +191,14 @@ fn the_conclusion_comes_first_and_names_stay_whole() {
         "1.5&nbsp;% &amp; more",
         "<b>FSJ</b> is friction.",
         "ema &lt;i&gt;",
-        "where",
+        "<figcaption>the plane",
         "<nav",
         "<summary>Maps",
         "in other words",
     ];
-    assert!(order.windows(2).all(|w| place(w[0]) < place(w[1])));
+    for w in order.windows(2) {
+        assert!(place(w[0]) < place(w[1]), "{w:?}");
+    }
     for name in [
         "<span class=\"name\">aileron-2</span>",
         "<span class=\"name\">left-aileron,</span> fsj",
