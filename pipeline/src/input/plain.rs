@@ -156,7 +156,7 @@ fn aligned(t: &Telemetry, rate_hz: f64, sequences: &[TestSequence]) -> Option<Al
                 // element i of the command is sample i + 1
                 let first = *mark as i64 + 1 - here as i64 + late;
                 let m = of(samples(t, rate_hz, first, rows), rate_hz);
-                let n = m.telemetry.rows() as usize;
+                let n = m.telemetry.rows();
                 if 2 * n < rows || !follows(&m, sequence) {
                     continue;
                 }

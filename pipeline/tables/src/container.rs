@@ -71,7 +71,7 @@ pub(crate) fn content(path: &Path, bytes: &[u8]) -> Result<Content> {
     };
     if let Some((_, what)) = OTHERS.iter().find(|(magic, _)| opened.starts_with(magic)) {
         let file = path.display().to_string();
-        return Err(Error::bad(file, "file", format!("{what}"), READ));
+        return Err(Error::bad(file, "file", what, READ));
     }
     text(path, &opened).map(Content::Text)
 }
