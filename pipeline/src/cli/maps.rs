@@ -17,26 +17,33 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
+/// Heading of options on a table of another simulator.
+const TABLE: &str = "Table of another simulator";
+/// Heading of options on what maps are worth.
+const REPORT: &str = "Report on the maps";
+
 #[derive(Args)]
 pub struct MapsArgs {
-    /// Dataset (ema simulate, ema dataset make): a folder, or s3://BUCKET/PREFIX. Or a table (CSV, Parquet, Arrow IPC) of any
-    /// simulator or rig, with columns fsj, zeta and file (a recording each) or features (schemas/README.md): its full grid
-    /// of faults makes the maps, repeats there their noise, and rows off the grid, 40 or more, calibrate them
+    /// Dataset: a folder, or s3://BUCKET/PREFIX; or a table of any simulator's runs
+    ///
+    /// A dataset is of ema simulate or ema dataset make. A table (CSV, Parquet, Arrow IPC) of any simulator or rig has columns
+    /// fsj, zeta and file (a recording each) or features (schemas/README.md): its full grid of faults makes the maps,
+    /// repeats there their noise, and rows off the grid, 40 or more, calibrate them.
     dataset: String,
     /// Only the maps of this actuator of a fleet, as files into --out
     #[arg(long, value_name = "ID")]
     id: Option<String>,
-    /// Of a table: actuator parameters, a TOML file, whose constants features are formed with; the reference actuator
-    /// (values assumed) if left out. (Of a fleet, what --id is now.)
-    #[arg(long, value_name = "FILE")]
+    /// Of a table: actuator parameters, a TOML file; the reference actuator (values assumed) if left out
+    ///
+    /// Features are formed with its constants. (Of a fleet's dataset, what --id is.)
+    #[arg(long, value_name = "FILE", help_heading = TABLE)]
     actuator: Option<String>,
     /// Folder (or .parquet file) for the maps of one actuator; the dataset's own if left out and there is one
     #[arg(long)]
     out: Option<PathBuf>,
     /// Rate of the telemetry that a table's features are of [Hz]; recordings say their own
-    #[arg(long, default_value_t = 10_000.0)]
+    #[arg(long, default_value_t = 10_000.0, help_heading = TABLE)]
     rate: f64,
-    /// Of a table's recordings or features
     #[command(flatten)]
     recording: RecordingArgs,
     /// Which of the dataset's rest angles [deg]; that of a table's features
@@ -45,15 +52,16 @@ pub struct MapsArgs {
     /// Leave out a feature whose surface is not monotone enough instead of refusing (a fleet's are always left out)
     #[arg(long)]
     lenient: bool,
-    /// Report on the maps: shape, sensitivity, whether they tell FSJ from zeta cell by cell, convergence of the grid,
-    /// and what to add next
-    #[arg(long)]
+    /// Report on the maps, and what to add next
+    ///
+    /// Their shape, sensitivity, whether they tell FSJ from zeta cell by cell, convergence of the grid.
+    #[arg(long, help_heading = REPORT)]
     quality: bool,
     /// Spread that the report allows for: none, fleet, or a TOML file; needs its calibration (ema calibrate)
-    #[arg(long, default_value = "none", requires = "quality")]
+    #[arg(long, default_value = "none", requires = "quality", help_heading = REPORT)]
     spread: String,
     /// The report with keys for programs, every cell included
-    #[arg(long, requires = "quality")]
+    #[arg(long, requires = "quality", help_heading = REPORT)]
     json: bool,
 }
 
