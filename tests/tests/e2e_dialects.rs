@@ -298,7 +298,7 @@ fn e2e_columns_of_other_names_are_mapped() {
     refused(
         &["diagnose", text(&file)],
         &[
-            "own.csv: columns",
+            "own.csv: header",
             "missing: t, com, theta_m, omega_m, i_eq",
             "--channels",
         ],
@@ -379,7 +379,7 @@ fn e2e_what_cannot_be_read_honestly_is_refused_with_its_cause() {
             named(4, "omega_m [knots]"),
             &["column `omega_m [knots]`", "knots", "rpm"],
         ),
-        ("missing.csv", named(4, "speed"), &["columns", "missing: omega_m"]),
+        ("missing.csv", named(4, "speed"), &["header", "missing: omega_m"]),
         ("two-times.csv", twice.separated(",").into(), &["`Time` beside `TIME`"]),
         (
             "seconds.csv",

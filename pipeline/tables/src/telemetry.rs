@@ -87,7 +87,8 @@ impl Table {
                 "columns t, com, theta_m, omega_m, i_eq or i_a, i_b, i_c (missing: {}); --channels FILE says which column is what",
                 absent.join(", ")
             );
-            return Err(Error::bad(&self.file, "columns", listed(&self.names), allowed));
+            let place = if self.is_text() { "header" } else { "columns" };
+            return Err(Error::bad(&self.file, place, listed(&self.names), allowed));
         }
         let (run, rows) = self.rows_of(run)?;
         let cells = |column: &str| -> Result<Vec<f64>> {
