@@ -17,6 +17,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
+/// Heading of options on which maps.
+const WHICH: &str = "Which maps";
 /// Heading of options on a table of another simulator.
 const TABLE: &str = "Table of another simulator";
 /// Heading of options on what maps are worth.
@@ -31,7 +33,7 @@ pub struct MapsArgs {
     /// repeats there their noise, and rows off the grid, 40 or more, calibrate them.
     dataset: String,
     /// Only the maps of this actuator of a fleet, as files into --out
-    #[arg(long, value_name = "ID")]
+    #[arg(long, value_name = "ID", help_heading = WHICH)]
     id: Option<String>,
     /// Of a table: actuator parameters, a TOML file; the reference actuator (values assumed) if left out
     ///
@@ -39,7 +41,7 @@ pub struct MapsArgs {
     #[arg(long, value_name = "FILE", help_heading = TABLE)]
     actuator: Option<String>,
     /// Folder (or .parquet file) for the maps of one actuator; the dataset's own if left out and there is one
-    #[arg(long)]
+    #[arg(long, help_heading = WHICH)]
     out: Option<PathBuf>,
     /// Rate of the telemetry that a table's features are of [Hz]; recordings say their own
     #[arg(long, default_value_t = 10_000.0, help_heading = TABLE)]
@@ -47,10 +49,10 @@ pub struct MapsArgs {
     #[command(flatten)]
     recording: RecordingArgs,
     /// Which of the dataset's rest angles [deg]; that of a table's features
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long, allow_negative_numbers = true, help_heading = WHICH)]
     rest_angle_deg: Option<f64>,
     /// Leave out a feature whose surface is not monotone enough instead of refusing (a fleet's are always left out)
-    #[arg(long)]
+    #[arg(long, help_heading = WHICH)]
     lenient: bool,
     /// Report on the maps, and what to add next
     ///
