@@ -38,7 +38,7 @@ impl Spec {
     pub(crate) fn factor(&self, table: &Table) -> Result<f64> {
         // what the file states has been obeyed
         let factor = match (table.stated(&self.column), &self.unit) {
-            (Some(stated), Some(unit)) if stated != unit => {
+            (Some(stated), Some(unit)) if table.contradicts(&self.column, unit, self.quantity.si()) => {
                 let found = format!("unit `{unit}`");
                 let allowed = format!("`{stated}`, as `{}` itself says", table.file);
                 return Err(Error::bad(

@@ -222,6 +222,18 @@ impl Table {
         made.unit.as_deref()
     }
 
+    /// Whether a unit that somebody else says of a column is against what the file states. A column that was made of one
+    /// of another name is in SI units: saying so is no contradiction.
+    ///
+    /// * `si` unit of the quantity
+    pub fn contradicts(&self, name: &str, unit: &str, si: &str) -> bool {
+        let made = self.made.iter().find(|m| m.name == name);
+        made.is_some_and(|m| {
+            let is_stated = m.unit.as_deref().is_none_or(|stated| stated == unit);
+            !is_stated && !(m.from != m.name && unit == si)
+        })
+    }
+
     /// What was brought from other names and units, in words; not what is merely spelt otherwise.
     pub fn said(&self) -> Vec<String> {
         let words = |m: &Made| {

@@ -247,7 +247,7 @@ fn column<'a>(table: &'a Table, c: &ChannelSpec, name: &str) -> Result<(&'a [f64
     let values = table.numbers(name)?;
     let stated = table.stated(name);
     let factor = match (stated, &c.unit) {
-        (Some(stated), Some(unit)) if stated != unit => {
+        (Some(stated), Some(unit)) if table.contradicts(name, unit, c.channel.quantity().si()) => {
             let place = format!("column `{name}`, unit of the bench file");
             let allowed = format!("`{stated}`, as the file itself says, or nothing");
             return Err(Error::bad(&table.file, place, format!("`{unit}`"), allowed));
