@@ -312,6 +312,14 @@ fn e2e_columns_of_other_names_are_mapped() {
     let (this, alike) = (found(&d), |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-12 * b.abs());
     assert!(this.1.iter().zip(&right.1).all(alike), "{this:?} for {right:?}");
     assert!(d["read"].to_string().contains("omega_m from `speed`"), "{}", d["read"]);
+    // a unit that the header states needs no word
+    let stated = dir.path().join("stated.csv");
+    let names = ["Zeit [s]", "Soll", "user", "angle", "speed [rpm]", "abs", "u", "v", "w"];
+    std::fs::write(&stated, r.named(names).with(4, rpm).separated(";")).unwrap();
+    let bare = channels.replace(", unit = \"rpm\"", "").replace(", unit = \"s\"", "");
+    std::fs::write(&map, bare).unwrap();
+    let this = found(&json(&["diagnose", text(&stated), "--channels", text(&map), "--json"]));
+    assert!(this.1.iter().zip(&right.1).all(alike), "{this:?} for {right:?}");
     for (from, to, says) in [
         ("\"speed\"", "\"tempo\"", &["own.csv", "no column `tempo`", "speed"][..]),
         (

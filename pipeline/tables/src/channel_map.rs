@@ -49,8 +49,9 @@ impl Spec {
                 ));
             }
             (Some(_), _) => 1.0,
-            (None, None) => crate::header::split(&self.column)
-                .1
+            (None, None) => table
+                .header_of(&self.column)
+                .and_then(|header| crate::header::split(header).1)
                 .map_or(Ok(1.0), |u| units::stated(self.quantity, u))
                 .map_err(|a| self.bad(&self.column, &a))?,
             (None, Some(unit)) => units::stated(self.quantity, unit).map_err(|a| self.bad(unit, &a))?,

@@ -172,6 +172,11 @@ impl Table {
         exact.or_else(alike)
     }
 
+    /// The header of the column that is called by a name, which may leave out the header's unit.
+    pub fn header_of(&self, name: &str) -> Option<&str> {
+        self.position(name).map(|c| self.names[c].as_str())
+    }
+
     /// Whether there is a column of this name.
     pub fn has(&self, name: &str) -> bool {
         self.position(name).is_some()
@@ -230,7 +235,7 @@ impl Table {
         let made = self.made.iter().find(|m| m.name == name);
         made.is_some_and(|m| {
             let is_stated = m.unit.as_deref().is_none_or(|stated| stated == unit);
-            !is_stated && !(m.from != m.name && unit == si)
+            !(is_stated || m.from != m.name && unit == si)
         })
     }
 

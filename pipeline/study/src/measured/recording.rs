@@ -255,7 +255,7 @@ fn column<'a>(table: &'a Table, c: &ChannelSpec, name: &str) -> Result<(&'a [f64
         (Some(_), _) => c.factor / c.unit_factor,
         (None, Some(_)) => c.factor,
         (None, None) => {
-            let in_header = ema_tables::unit_of(name);
+            let in_header = table.header_of(name).and_then(ema_tables::unit_of);
             let known = in_header.and_then(|u| c.channel.quantity().factor(u, c.lead).ok());
             known.map_or(c.factor, |f| c.factor / c.unit_factor * f)
         }
