@@ -56,6 +56,8 @@ unsafe extern "C" fn hear(to: *mut c_void, _: *const c_char, _: c_int, _: *const
 struct Master {
     library: libloading::Library,
     instance: *mut c_void,
+    // the library keeps its address
+    #[allow(clippy::box_collection)]
     said: Box<Vec<String>>,
     _callbacks: Box<Callbacks>,
     names: Vec<String>,
