@@ -15,6 +15,9 @@ const COMMENTS: [&str; 4] = ["#", "%", "//", "!"];
 /// Separators, the likelier first; blanks where there is none of them.
 const SEPARATORS: [u8; 4] = [b';', b'\t', b',', b'|'];
 
+/// What an empty cell is read as: NaN, but not the one that the word is.
+pub(crate) const EMPTY: f64 = -f64::NAN;
+
 /// Where the table is in a text.
 struct Layout<'a> {
     header: &'a str,
@@ -281,7 +284,7 @@ impl Cells {
             return Ok(());
         }
         if cell.is_empty() {
-            self.numbers.push(f64::NAN);
+            self.numbers.push(EMPTY);
             return Ok(());
         }
         let plain = cell.parse::<f64>().ok();

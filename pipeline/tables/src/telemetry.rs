@@ -1,6 +1,7 @@
 //! One run of telemetry out of a table.
 
 use crate::channel_map::ChannelMap;
+use crate::dialect::EMPTY;
 pub use crate::header::quantity;
 use crate::table::{Table, listed};
 use schemas::channel::Channel;
@@ -96,7 +97,8 @@ impl Table {
             let mut values = Vec::with_capacity(rows.len());
             for &row in &rows {
                 if !all[row].is_finite() {
-                    let found = if all[row].is_nan() && self.is_text() {
+                    let is_empty = all[row].is_nan() && all[row].is_sign_negative() == EMPTY.is_sign_negative();
+                    let found = if is_empty && self.is_text() {
                         "nothing".into()
                     } else {
                         all[row].to_string()
