@@ -148,6 +148,23 @@ impl Choice {
     }
 }
 
+/// Name of a file of maps in its folder.
+pub const FILE: &str = "maps.parquet";
+
+/// The maps that a place means: those in the folder, or the file itself.
+pub fn file_in(place: &Path) -> PathBuf {
+    if place.is_dir() { place.join(FILE) } else { place.into() }
+}
+
+/// Where maps are to be written: the file itself where it is named as one (`.parquet`), else in the folder.
+pub fn file_for(place: &Path) -> PathBuf {
+    if place.extension().is_some_and(|e| e == "parquet") {
+        place.into()
+    } else {
+        place.join(FILE)
+    }
+}
+
 /// Saved map sets in folders.
 #[derive(Clone, Debug)]
 pub struct MapLibrary {
@@ -197,15 +214,12 @@ impl MapLibrary {
         if place.is_file() {
             return vec![place.into()];
         }
-        let own = place.join("maps.parquet");
+        let own = place.join(FILE);
         if own.is_file() {
             return vec![own];
         }
         let entries = std::fs::read_dir(place).into_iter().flatten().flatten();
-        let mut files: Vec<PathBuf> = entries
-            .map(|e| e.path().join("maps.parquet"))
-            .filter(|f| f.is_file())
-            .collect();
+        let mut files: Vec<PathBuf> = entries.map(|e| e.path().join(FILE)).filter(|f| f.is_file()).collect();
         // the latest first: a cache may hold those of earlier versions of the program
         let written = |f: &PathBuf| f.metadata().and_then(|m| m.modified()).ok();
         files.sort_by_cached_key(|f| (std::cmp::Reverse(written(f)), f.clone()));

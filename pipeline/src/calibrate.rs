@@ -237,6 +237,36 @@ impl Campaign {
     }
 }
 
+/// The calibration of maps, for the very actuator that they are of, from tests of known faults that the maps are not made
+/// of. Tests without every feature of the maps count for nothing: `runs` are those that are left.
+///
+/// # Errors
+/// As [`Campaign::calibrate`].
+pub fn of_tests(
+    set: &FailureMapSet,
+    tests: impl IntoIterator<Item = (FaultState, RawFeatures)>,
+) -> Result<Calibration> {
+    let unit = |fault| Unit {
+        fault,
+        draw: [0.0; Cause::COUNT],
+        seed: 0,
+    };
+    let scores: (Vec<Unit>, Vec<RawFeatures>) = tests.into_iter().map(|(fault, raw)| (unit(fault), raw)).unzip();
+    let campaign = Campaign {
+        spread: Spread::none(),
+        effort: Effort {
+            runs: scores.0.len(),
+            surface_runs: 0,
+            seed: 0,
+        },
+        surface: (Vec::new(), Vec::new()),
+        scores,
+    };
+    let mut calibration = campaign.calibrate(set)?;
+    calibration.runs = calibration.misfits.len();
+    Ok(calibration)
+}
+
 /// Response surfaces of simulated units; none without units.
 ///
 /// * `bare` the maps, without any

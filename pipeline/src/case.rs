@@ -205,11 +205,7 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, setup: &TestSetup) -> Re
         let grid = s.grid.clone();
         return maps::cached(&MapRequest { setup, grid }, &s.choice, &known);
     };
-    let file = if dir.is_dir() {
-        dir.join("maps.parquet")
-    } else {
-        dir.clone()
-    };
+    let file = map_library::file_in(dir);
     let set = FailureMapSet::load(&file)?;
     let maps = &set.header.kind;
     let of_maps = |allowed: String| format!("{allowed} (of {})", file.display());
@@ -374,30 +370,27 @@ pub fn to_json(case: &Case, unit: Option<&UnitFile>, refined: Option<&Refined>, 
     json
 }
 
+/// The tests that the intervals are calibrated on, in words; none where they are not.
+pub(crate) fn grounds(case: &Case) -> Option<String> {
+    let c = case.diagnoser.calibration.as_ref()?;
+    Some(if crate::map_table::is_of_table(&case.diagnoser.maps.header) {
+        format!("{} rows of the table that made the maps", c.runs)
+    } else if c.spread().is_none() {
+        let of = "this very actuator (no spread from unit to unit)";
+        format!("{} simulated tests of {of}", c.runs)
+    } else {
+        format!("{} simulated tests of units of spread `{}`", c.runs, c.spread)
+    })
+}
+
 /// What the intervals promise, and on what grounds.
 fn coverage(case: &Case) -> String {
     let percent = 100.0 * case.diagnosis.coverage;
     if percent.is_nan() {
         return "coverage  none: the paper's method states none (its bands are the maps', assumed)".into();
     }
-    match &case.diagnoser.calibration {
-        Some(c) => {
-            let of = if c.spread().is_none() {
-                "of this very actuator (no spread from unit to unit)".to_string()
-            } else {
-                format!("of units of spread `{}`", c.spread)
-            };
-            if crate::map_table::is_of_table(&case.diagnoser.maps.header) {
-                return format!(
-                    "coverage  {percent:.1} %, calibrated on {} rows of the table that made the maps",
-                    c.runs
-                );
-            }
-            format!(
-                "coverage  {percent:.1} %, calibrated on {} simulated tests {of}",
-                c.runs
-            )
-        }
+    match grounds(case) {
+        Some(tests) => format!("coverage  {percent:.1} %, calibrated on {tests}"),
         None => format!("coverage  {percent:.1} % by design, not calibrated (ema calibrate)"),
     }
 }

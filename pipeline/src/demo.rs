@@ -172,7 +172,7 @@ fn grid(name: &str, dataset: &Path, choice: &Choice) -> Result<Grid> {
     let (done, _) = dataset::make(&plan, &storage, "grid")?.ok_or(crate::Interrupted)?;
     let seconds = begin.elapsed().as_secs_f64();
     let set = dataset::maps::of_one(&Dataset::of(storage)?, false)?;
-    let maps_file = dataset.join("maps.parquet");
+    let maps_file = dataset.join(diagnoser::map_library::FILE);
     set.save(&maps_file)?;
     Ok(Grid {
         diagnoser: maps::calibrated(&maps_file, set, &setup, choice, &Vec::new())?,

@@ -1,12 +1,12 @@
 //! Maps from any simulator, or any rig: rows of faults with features or recordings become failure maps, and the rows off
 //! the grid of faults calibrate them.
 
-use crate::calibrate::score_all;
+use crate::calibrate::of_tests;
 use crate::case::{self, Settings};
 use crate::input;
 use crate::maps::{GridFeatures, of_grid};
 use anyhow::Result;
-use diagnoser::calibration::{COVERAGE, Calibration, uncalibrated};
+use diagnoser::calibration::Calibration;
 use diagnoser::diagnosis::{Diagnoser, Diagnosis};
 use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
 use ema_tables::Table;
@@ -16,7 +16,6 @@ use schemas::fault::FaultState;
 use schemas::feature::RawFeatures;
 use schemas::fingerprint::fingerprint;
 use sim_worker::setup::TestSetup;
-use sim_worker::spread::Spread;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -267,10 +266,11 @@ pub fn make(path: &Path, settings: &Settings, kind: &FeatureKind, lenient: bool)
         left_out: Vec::new(),
     };
     let set = of_grid(&table.file, header, &setup.sequence, &grid, lenient)?;
-    let tests: Vec<&Row> = others.iter().map(|&i| &rows[i]).collect();
+    let tests = others.iter().map(|&i| (rows[i].fault, rows[i].raw));
+    let calibration = Some(of_tests(&set, tests)?).filter(|c| c.runs >= FEWEST_TESTS);
     Ok(MapTable {
-        calibration: calibration(&set, &tests)?,
-        rows: (rows.len() - tests.len(), tests.len()),
+        calibration,
+        rows: (rows.len() - others.len(), others.len()),
         set,
         has_noise,
     })
@@ -293,36 +293,6 @@ fn of_features(settings: &Settings, kind: &FeatureKind) -> Result<TestSetup> {
         load_n_m: 0.0,
         equivalent_current: false,
     })
-}
-
-/// By tests that the maps are not made of.
-fn calibration(set: &FailureMapSet, tests: &[&Row]) -> Result<Option<Calibration>> {
-    if tests.len() < FEWEST_TESTS {
-        return Ok(None);
-    }
-    let spread = Spread::none();
-    let mut calibration = Calibration {
-        spread: spread.name.clone(),
-        half_width: spread.half_width,
-        runs: tests.len(),
-        surface_runs: 0,
-        seed: 0,
-        maps: set.fingerprint(),
-        commit: set.header.commit.clone(),
-        scores: Default::default(),
-        misfits: vec![uncalibrated(COVERAGE).1],
-        deviations: Vec::new(),
-        surfaces: None,
-    };
-    let diagnoser = Diagnoser::new(set.clone(), Some(calibration.clone()), COVERAGE, &Vec::new())?;
-    let score = |r: &&Row| diagnoser.score(&set.features(&r.raw), r.fault.fsj, r.fault.zeta);
-    let scores: Vec<_> = tests.iter().filter_map(score).collect();
-    if scores.len() < FEWEST_TESTS {
-        return Ok(None);
-    }
-    calibration.runs = scores.len();
-    score_all(&mut calibration, &scores);
-    Ok(Some(calibration))
 }
 
 /// A diagnosed row of features.

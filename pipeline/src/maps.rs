@@ -6,7 +6,7 @@ use crate::progress::note;
 use anyhow::Result;
 use diagnoser::diagnosis::{Diagnoser, Known};
 use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
-use diagnoser::map_library::Choice;
+use diagnoser::map_library::{Choice, FILE};
 use schemas::error::Error;
 use schemas::fault::FaultGrid;
 use schemas::feature::{Feature, Raw, RawFeatures};
@@ -21,9 +21,6 @@ use std::path::{Path, PathBuf};
 
 /// Hash of the sources that saved maps depend on beyond the features that they are made of.
 const SOURCE: &str = env!("EMA_SOURCE");
-
-/// Name of a file of maps in its folder.
-const FILE: &str = "maps.parquet";
 
 /// What maps are made for.
 #[derive(Clone, Debug)]

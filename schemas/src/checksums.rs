@@ -165,20 +165,18 @@ impl Compared {
         if batch.columns().iter().zip(batch.schema_ref().fields()).any(is_missed) {
             return Ok(()); // whoever reads it names the row; `end` knows that the run was not whole
         }
-        let path = self.path.clone();
-        let changed = |run: u64| changed(&path, run);
         for (id, from, to) in runs(batch) {
             let (run, sum) = self.run.get_or_insert_with(|| (id, RunSum::default()));
             let line = self.due.last().map(String::as_str).unwrap_or_default();
             // how many rows a run has is known before its last ones are handed out
             let rows = line.split(' ').nth(1).and_then(|n| n.parse().ok());
             if *run != id || rows.is_none_or(|n: u64| sum.rows + (to - from) as u64 > n) {
-                return Err(changed(id));
+                return Err(changed(&self.path, id));
             }
             sum.take(batch.schema_ref().fields(), batch.slice(from, to - from).columns());
             if Some(sum.rows) == rows {
                 if sum.finish().line(id, &self.said) != line {
-                    return Err(changed(id));
+                    return Err(changed(&self.path, id));
                 }
                 self.run = None;
                 self.due.pop();

@@ -32,6 +32,12 @@ pub fn guarded<T>(read: impl FnOnce() -> T) -> std::result::Result<T, &'static s
     done.map_err(|_| "damaged within")
 }
 
+/// What a panic said; nothing where it was no text.
+pub fn words(panic: &(dyn std::any::Any + Send)) -> &str {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or(panic.downcast_ref::<&str>().copied()).unwrap_or_default()
+}
+
 /// A source of Parquet bytes whose end is an error for whoever asks for more: the library passes over what a page's header declares
 /// even where the file has ended, two thousand million times at worst.
 pub struct Ending<R>(pub R);

@@ -52,7 +52,7 @@ impl DrivenBench {
 
     /// The channels that it gives samples of: all but the winding temperature, which the model has not.
     pub fn channels() -> impl Iterator<Item = Channel> {
-        Channel::ALL.iter().copied().filter(|c| *c != Channel::Temperature)
+        crate::catalogue::simulated()
     }
 
     /// Length of a step [s].

@@ -4,6 +4,7 @@ use super::{FailureMap, MapBudget};
 use crate::uncertainty::MOST;
 use arrow::array::{Array, ArrayRef, AsArray, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Float64Type, Schema};
+use arrow::error::ArrowError;
 use schemas::error::{Error, Result};
 use schemas::feature::{Feature, Features, RawFeatures};
 use schemas::fingerprint::{checksum, exact, fingerprint};
@@ -155,11 +156,11 @@ impl FailureMapSet {
         self.maps.iter().chain(&self.witnesses)
     }
 
-    /// Saves the maps as one Parquet table: feature, fsj, zeta, value, raw_value.
+    /// Every point of every map, witnesses too: feature, fsj, zeta, value, raw_value.
     ///
     /// # Errors
-    /// Fails where the file cannot be written.
-    pub fn save(&self, path: &Path) -> Result<()> {
+    /// What Arrow refuses; of maps that were built it refuses nothing.
+    pub fn rows(&self) -> std::result::Result<RecordBatch, ArrowError> {
         let column = |f: fn(&FailureMap, usize) -> f64| -> ArrayRef {
             let v = self.all().flat_map(|m| (0..m.value.len()).map(move |i| f(m, i)));
             Arc::new(Float64Array::from_iter_values(v))
@@ -180,6 +181,14 @@ impl FailureMapSet {
             column(|m, i| m.value[i]),
             column(|m, i| m.raw[i]),
         ];
+        RecordBatch::try_new(schema, columns)
+    }
+
+    /// Saves the maps as one Parquet table: [`FailureMapSet::rows`].
+    ///
+    /// # Errors
+    /// Fails where the file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<()> {
         let h = &self.header;
         let provenance = Provenance {
             actuator: h.actuator.clone(),
@@ -212,7 +221,7 @@ impl FailureMapSet {
         };
         let mut pairs = provenance.pairs();
         let text = serde_json::to_string(&stored).expect("plain data");
-        let batch = RecordBatch::try_new(schema, columns).map_err(|e| Error::torn(path, e))?;
+        let batch = self.rows().map_err(|e| Error::torn(path, e))?;
         let table = Columns::of(&batch).expect("as they were just made");
         pairs.push((CHECKSUM.into(), checksum_of(&text, [&table])));
         pairs.push(("ema.maps".into(), text));

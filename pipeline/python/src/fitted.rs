@@ -7,7 +7,7 @@ use diagnoser::calibration::COVERAGE;
 use diagnoser::diagnosis::Diagnoser;
 use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
 use diagnoser::map_library::checked_coverage;
-use pipeline::calibrate::{Campaign, Effort, Unit};
+use pipeline::calibrate::of_tests;
 use pipeline::maps::{GridFeatures, of_grid};
 use pyo3::prelude::*;
 use rayon::prelude::*;
@@ -15,7 +15,6 @@ use schemas::fault::FaultState;
 use schemas::feature::RawFeatures;
 use schemas::test_kind::TestKind;
 use sim_worker::catalogue;
-use sim_worker::spread::{Cause, Spread};
 use std::sync::Mutex;
 
 /// How maps of rows are called in messages.
@@ -146,26 +145,9 @@ impl FittedMaps {
     fn calibrate(&self, py: Python<'_>, rows: Vec<Vec<f64>>, fsj: Vec<f64>, zeta: Vec<f64>) -> PyResult<()> {
         let (set, names) = (self.set.clone(), self.names.clone());
         let made = long(py, None, None, move |_| {
-            let unit = |(&fsj, &zeta): (&f64, &f64)| Unit {
-                fault: FaultState { fsj, zeta },
-                draw: [0.0; Cause::COUNT],
-                seed: 0,
-            };
-            let campaign = Campaign {
-                spread: Spread::none(),
-                effort: Effort {
-                    runs: rows.len(),
-                    surface_runs: 0,
-                    seed: 0,
-                },
-                surface: (Vec::new(), Vec::new()),
-                scores: (
-                    fsj.iter().zip(&zeta).map(unit).collect(),
-                    rows.iter().map(|r| raw(&names, r)).collect(),
-                ),
-            };
-            let calibration = campaign.calibrate(&set)?;
-            if calibration.misfits.is_empty() {
+            let faults = fsj.iter().zip(&zeta).map(|(&fsj, &zeta)| FaultState { fsj, zeta });
+            let calibration = of_tests(&set, faults.zip(rows.iter().map(|r| raw(&names, r))))?;
+            if calibration.runs == 0 {
                 return Err(bad(
                     "X",
                     "no row with every feature",

@@ -7,19 +7,13 @@ use crate::sweep::grid_of;
 use crate::table::Table;
 use crate::work::long;
 use anyhow::Result;
-use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray};
-use arrow::datatypes::{DataType, Field, Schema};
-use diagnoser::failure_map::{FailureMap, FailureMapSet};
-use diagnoser::map_library::{Choice, rounded_rest_angle};
+use diagnoser::failure_map::FailureMapSet;
+use diagnoser::map_library::{Choice, file_for, rounded_rest_angle};
 use pipeline::MapRequest;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sim_worker::catalogue;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-/// File of maps in a folder.
-const MAPS: &str = "maps.parquet";
 
 /// Failure maps of one actuator, sequence, rate, sensor model and rest angle, in a file.
 #[pyclass(frozen, module = "ema")]
@@ -50,23 +44,15 @@ fn calibrations(file: &Path) -> Vec<PathBuf> {
     found
 }
 
-fn in_folder(place: PathBuf) -> PathBuf {
-    if place.extension().is_some_and(|e| e == "parquet") {
-        place
-    } else {
-        place.join(MAPS)
-    }
-}
-
 impl Maps {
     fn load_from(place: PathBuf) -> Result<Self> {
-        let file = in_folder(place);
+        let file = file_for(&place);
         let set = FailureMapSet::load(&file)?;
         Ok(Self { set, file })
     }
 
     fn save_to(&self, place: PathBuf) -> Result<()> {
-        let file = in_folder(place);
+        let file = file_for(&place);
         let dir = file.parent().unwrap_or(Path::new("."));
         let failed = |e| schemas::error::Error::io(&file, "cannot be written", e);
         std::fs::create_dir_all(dir).map_err(failed)?;
@@ -78,10 +64,6 @@ impl Maps {
             }
         }
         Ok(())
-    }
-
-    fn all(&self) -> impl Iterator<Item = &FailureMap> {
-        self.set.maps.iter().chain(&self.set.witnesses)
     }
 }
 
@@ -136,23 +118,8 @@ impl Maps {
     /// Every point of every map: feature, fsj, zeta, value (freed of scatter, monotone), raw_value (as simulated), as in
     /// maps.parquet.
     fn table(&self) -> PyResult<Table> {
-        let column = |f: fn(&FailureMap, usize) -> f64| -> ArrayRef {
-            let of = |m: &FailureMap| (0..m.value.len()).map(|i| f(m, i)).collect::<Vec<_>>();
-            Arc::new(self.all().flat_map(of).collect::<Float64Array>())
-        };
-        let names = self.all().flat_map(|m| m.value.iter().map(|_| m.feature.name()));
-        let number = |n: &str| Field::new(n, DataType::Float64, false);
-        let mut fields = vec![Field::new("feature", DataType::Utf8, false)];
-        fields.extend(["fsj", "zeta", "value", "raw_value"].map(number));
-        let columns: Vec<ArrayRef> = vec![
-            Arc::new(StringArray::from_iter_values(names)),
-            column(|m, i| m.fsj[i % m.fsj.len()]),
-            column(|m, i| m.zeta[i / m.fsj.len()]),
-            column(|m, i| m.value[i]),
-            column(|m, i| m.raw[i]),
-        ];
-        let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), columns);
-        Ok(Table::of(batch.map_err(|e| {
+        let rows = self.set.rows();
+        Ok(Table::of(rows.map_err(|e| {
             pyo3::exceptions::PyRuntimeError::new_err(e.to_string())
         })?))
     }

@@ -153,8 +153,7 @@ fn finished<T>(py: Python<'_>, result: Ended<T>) -> PyResult<T> {
     match result {
         Ok(result) => result.map_err(|e| to_py(py, e)),
         Err(panic) => {
-            let text = panic.downcast_ref::<String>().map(String::as_str);
-            let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
+            let text = schemas::guard::words(&*panic);
             Err(PyRuntimeError::new_err(format!("a bug of ema: {text}")))
         }
     }

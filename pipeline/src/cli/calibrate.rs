@@ -7,7 +7,7 @@ use clap::Args;
 use diagnoser::calibration::{COVERAGE, Calibration};
 use diagnoser::diagnosis::Diagnoser;
 use diagnoser::failure_map::FailureMapSet;
-use diagnoser::map_library::Choice;
+use diagnoser::map_library::{Choice, file_in};
 use schemas::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -45,11 +45,7 @@ pub struct CalibrateArgs {
 }
 
 pub fn calibrate(a: &CalibrateArgs) -> Result<ExitCode> {
-    let file = if a.maps.is_dir() {
-        a.maps.join("maps.parquet")
-    } else {
-        a.maps.clone()
-    };
+    let file = file_in(&a.maps);
     let choice = Choice::new(sim_worker::catalogue::spread(&a.spread)?, a.coverage)?;
     let set = FailureMapSet::load(&file)?;
     if crate::map_table::is_of_table(&set.header) {

@@ -8,7 +8,7 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::calibration::COVERAGE;
 use diagnoser::failure_map::FailureMapSet;
-use diagnoser::map_library::Choice;
+use diagnoser::map_library::{Choice, file_in};
 use schemas::error::{EXIT_LOSS, Error};
 use serde_json::json;
 use sim_worker::dataset::copy::copy;
@@ -260,11 +260,7 @@ fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
                 spread: sim_worker::catalogue::spread(&a.spread)?,
                 coverage: COVERAGE,
             };
-            let file = if file.is_dir() {
-                file.join("maps.parquet")
-            } else {
-                file.clone()
-            };
+            let file = file_in(file);
             by_type(&d, &choice.ready(&file, FailureMapSet::load(&file)?, &Vec::new())?)?
         }
     };

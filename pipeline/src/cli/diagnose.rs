@@ -13,7 +13,7 @@ use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::{Outcome, parse_known};
 use diagnoser::failure_map::FailureMapSet;
-use diagnoser::map_library::Choice;
+use diagnoser::map_library::{Choice, file_in};
 use diagnoser::unit::UnitFile;
 use schemas::error::EXIT_LOSS;
 use std::path::{Path, PathBuf};
@@ -136,11 +136,7 @@ fn of_unit(unit: &UnitFile) -> String {
 /// Diagnoses a table of features, a line a row.
 fn of_features(a: &DiagnoseArgs, choice: &Choice) -> Result<ExitCode> {
     let maps = a.maps.as_deref().unwrap_or(Path::new("."));
-    let file = if maps.is_dir() {
-        maps.join("maps.parquet")
-    } else {
-        maps.into()
-    };
+    let file = file_in(maps);
     let set = FailureMapSet::load(&file)?;
     let actuator = a.actuator.read()?;
     let known = parse_known(&a.known, &actuator, set.header.kind.rest_angle_rad)?;

@@ -9,7 +9,7 @@ use anyhow::Result;
 use clap::Args;
 use diagnoser::calibration::COVERAGE;
 use diagnoser::failure_map::FailureMapSet;
-use diagnoser::map_library::Choice;
+use diagnoser::map_library::{Choice, file_for};
 use diagnoser::quality::MapQuality;
 use schemas::error::{EXIT_LOSS, Error};
 use sim_worker::parameters::ActuatorParameters;
@@ -89,11 +89,7 @@ fn of_table(a: &MapsArgs) -> Result<ExitCode> {
         rest_angle_rad: a.rest_angle_deg.unwrap_or(0.0).to_radians(),
     };
     let made = map_table::make(path, &settings, &kind, a.lenient)?;
-    let file = if out.extension().is_some_and(|x| x == "parquet") {
-        out
-    } else {
-        out.join("maps.parquet")
-    };
+    let file = file_for(&out);
     let dir = file.parent().unwrap_or(Path::new(""));
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;
     made.set.save(&file)?;

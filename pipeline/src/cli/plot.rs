@@ -6,6 +6,7 @@ use crate::report_pages;
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::failure_map::FailureMapSet;
+use diagnoser::map_library::file_in;
 use schemas::channel::Channel;
 use schemas::error::{Error, write_whole};
 use std::path::PathBuf;
@@ -45,11 +46,7 @@ pub fn plot(a: &PlotArgs) -> Result<ExitCode> {
     let mut figures: Vec<(String, Figure)> = Vec::new();
     let dir = match &a.what {
         What::Maps { maps, out } => {
-            let file = if maps.is_dir() {
-                maps.join("maps.parquet")
-            } else {
-                maps.clone()
-            };
+            let file = file_in(maps);
             for m in &FailureMapSet::load(&file)?.maps {
                 let plot = report_pages::map_plot(m, None);
                 figures.push((format!("map_{}", m.feature.name()), Figure::Map(plot)));

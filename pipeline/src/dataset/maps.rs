@@ -6,6 +6,7 @@ use anyhow::Result;
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Schema};
 use diagnoser::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
+use diagnoser::map_library::{FILE, file_for};
 use schemas::error::Error;
 use schemas::feature::{Feature, RawFeatures};
 use schemas::table::table_bytes;
@@ -261,14 +262,12 @@ pub fn files(d: &Dataset, chosen: &Chosen<'_>, out: &Path) -> Result<Vec<(PathBu
     }
     let mut files = Vec::new();
     for set in sets {
-        let file = match (is_file, several) {
-            (true, _) => out.to_path_buf(),
-            (false, false) => out.join("maps.parquet"),
-            (false, true) => {
-                let h = &set.header;
-                out.join(format!("{}-{:.1}deg", h.sequence, h.kind.rest_angle_rad.to_degrees()))
-                    .join("maps.parquet")
-            }
+        let file = if several {
+            let h = &set.header;
+            out.join(format!("{}-{:.1}deg", h.sequence, h.kind.rest_angle_rad.to_degrees()))
+                .join(FILE)
+        } else {
+            file_for(out)
         };
         let dir = file.parent().unwrap_or(Path::new(""));
         std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;

@@ -1,6 +1,6 @@
 //! The conclusion of a diagnosis in words: what was found, how sure that is, what to do next.
 
-use crate::case::{Case, three};
+use crate::case::{Case, grounds, three};
 use crate::digits;
 use crate::report::{Lead, Point, Tone};
 use diagnoser::diagnosis::{Area, Outcome};
@@ -183,17 +183,9 @@ pub(crate) fn sure(case: &Case) -> String {
     if percent.is_nan() {
         return "The paper's own method states no probability; its bands are those of the maps (assumed).".into();
     }
-    let promise = match &case.diagnoser.calibration {
-        Some(c) => {
-            let of = if c.spread().is_none() {
-                "of this very actuator".to_string()
-            } else {
-                format!("of units that differ (spread {})", c.spread)
-            };
-            format!(
-                "Such intervals hold the true pair in {percent:.0} % of tests, calibrated on {} simulated tests {of}.",
-                c.runs
-            )
+    let promise = match grounds(case) {
+        Some(tests) => {
+            format!("Such intervals hold the true pair in {percent:.0} % of tests, calibrated on {tests}.")
         }
         None => format!(
             "The intervals are designed to hold the true pair in {percent:.0} % of tests; nothing has calibrated that."

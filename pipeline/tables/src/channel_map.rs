@@ -1,6 +1,6 @@
 //! Which column of a table is which channel: the section `[channels]` of a bench file, as a diagnosis reads it.
 
-use crate::table::Table;
+use crate::table::{Table, UnitFrom};
 use crate::telemetry::quantity;
 use crate::units::{self, Quantity};
 use schemas::channel::Channel;
@@ -36,25 +36,14 @@ pub(crate) struct Spec {
 impl Spec {
     /// Factor from the column to SI.
     pub(crate) fn factor(&self, table: &Table) -> Result<f64> {
-        // what the file states has been obeyed
-        let factor = match (table.stated(&self.column), &self.unit) {
-            (Some(stated), Some(unit)) if table.contradicts(&self.column, unit, self.quantity.si()) => {
-                let found = format!("unit `{unit}`");
-                let allowed = format!("`{stated}`, as `{}` itself says", table.file);
-                return Err(Error::bad(
-                    &self.place,
-                    format!("column `{}`", self.column),
-                    found,
-                    allowed,
-                ));
-            }
-            (Some(_), _) => 1.0,
-            (None, None) => table
-                .header_of(&self.column)
-                .and_then(|header| crate::header::split(header).1)
-                .map_or(Ok(1.0), |u| units::stated(self.quantity, u))
-                .map_err(|a| self.bad(&self.column, &a))?,
-            (None, Some(unit)) => units::stated(self.quantity, unit).map_err(|a| self.bad(unit, &a))?,
+        let unit = match table.unit_from(&self.column, self.unit.as_deref(), self.quantity.si())? {
+            UnitFrom::File | UnitFrom::Nobody => None,
+            UnitFrom::Bench => self.unit.as_deref(),
+            UnitFrom::Header(unit) => Some(unit),
+        };
+        let factor = match unit {
+            Some(unit) => units::stated(self.quantity, unit).map_err(|a| self.bad(unit, &a))?,
+            None => 1.0,
         };
         Ok(factor * self.scale)
     }

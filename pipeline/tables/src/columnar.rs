@@ -2,6 +2,7 @@
 
 use crate::header::{Meaning, meaning};
 use crate::table::{Column, Places};
+use crate::units::{self, Quantity};
 use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
 use arrow::compute::{cast, concat};
 use arrow::datatypes::{DataType, Float64Type, Int64Type, SchemaRef, TimeUnit};
@@ -79,7 +80,7 @@ fn column(path: &Path, name: &str, values: &ArrayRef) -> Result<Column> {
     match &kind {
         DataType::Timestamp(_, _) | DataType::Date32 | DataType::Date64 => {
             let ns = as_type(&DataType::Timestamp(TimeUnit::Nanosecond, None));
-            Ok(Column::Moments(ns.map_or(Vec::new(), |ns| since_first(&ns))))
+            Ok(Column::Moments(ns.map_or(Vec::new(), |ns| since_first(&ns, 1e-9))))
         }
         DataType::Duration(_) => {
             let ns = as_type(&DataType::Duration(TimeUnit::Nanosecond)).and_then(|d| cast(&d, &DataType::Int64).ok());
@@ -90,21 +91,19 @@ fn column(path: &Path, name: &str, values: &ArrayRef) -> Result<Column> {
         }
         DataType::Time32(_) | DataType::Time64(_) => {
             let ns = as_type(&DataType::Time64(TimeUnit::Nanosecond)).and_then(|t| cast(&t, &DataType::Int64).ok());
-            ns.map_or_else(other, |ns| Ok(Column::Moments(since_first(&ns))))
+            ns.map_or_else(other, |ns| Ok(Column::Moments(since_first(&ns, 1e-9))))
         }
         // nanoseconds of a calendar are beyond what f64 tells apart
         DataType::Int64 | DataType::UInt64 if known == Some(Meaning::Time) => {
             let whole = as_type(&DataType::Int64);
-            let first = whole.as_ref().map_or(0, |w| w.as_primitive::<Int64Type>().value(0));
-            match whole {
-                Some(w) if first.unsigned_abs() > 1 << 50 => {
+            let is_far = |w: &ArrayRef| w.as_primitive::<Int64Type>().value(0).unsigned_abs() > 1 << 50;
+            match whole.filter(is_far) {
+                Some(whole) => {
                     let unit = meaning(name).and_then(|m| m.1);
-                    let factor = unit.and_then(|u| crate::units::stated(crate::units::Quantity::Time, &u).ok());
-                    let ns = w.as_primitive::<Int64Type>().values().iter();
-                    let since = ns.map(|x| x.wrapping_sub(first) as f64 * factor.unwrap_or(1.0));
-                    Ok(Column::Moments(since.collect()))
+                    let factor = unit.and_then(|u| units::stated(Quantity::Time, &u).ok());
+                    Ok(Column::Moments(since_first(&whole, factor.unwrap_or(1.0))))
                 }
-                _ => numbers(values).map_or_else(other, |v| Ok(Column::Numbers(v))),
+                None => numbers(values).map_or_else(other, |v| Ok(Column::Numbers(v))),
             }
         }
         DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View | DataType::Dictionary(_, _) => {
@@ -137,12 +136,14 @@ fn numbers(values: &ArrayRef) -> Option<Vec<f64>> {
     )
 }
 
-/// Nanoseconds as seconds from the first of them on.
-fn since_first(ns: &ArrayRef) -> Vec<f64> {
-    let Ok(ns) = cast(ns, &DataType::Int64) else {
+/// Whole numbers as seconds from the first of them on.
+///
+/// * `unit_s` what one of them is [s]
+fn since_first(whole: &ArrayRef, unit_s: f64) -> Vec<f64> {
+    let Ok(whole) = cast(whole, &DataType::Int64) else {
         return Vec::new();
     };
-    let ns = ns.as_primitive::<Int64Type>().values();
-    let first = ns.first().copied().unwrap_or_default();
-    ns.iter().map(|x| x.wrapping_sub(first) as f64 * 1e-9).collect()
+    let whole = whole.as_primitive::<Int64Type>().values();
+    let first = whole.first().copied().unwrap_or_default();
+    whole.iter().map(|x| x.wrapping_sub(first) as f64 * unit_s).collect()
 }

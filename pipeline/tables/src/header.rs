@@ -70,11 +70,6 @@ pub(crate) fn split(header: &str) -> (&str, Option<&str>) {
     (header, None)
 }
 
-/// The unit that a header states, if it is one: `Force [N]`.
-pub fn unit_of(header: &str) -> Option<&str> {
-    split(header).1.filter(|u| units::is_known(u))
-}
-
 /// Lower case, words joined by `_`.
 pub(crate) fn plain(name: &str) -> String {
     let joined = |c: char| {

@@ -17,6 +17,5 @@ pub mod telemetry;
 pub mod units;
 
 pub use channel_map::ChannelMap;
-pub use header::unit_of;
-pub use table::{Column, Table};
+pub use table::{Column, Table, UnitFrom};
 pub use telemetry::Telemetry;

@@ -40,6 +40,19 @@ struct Made {
     factor: f64,
 }
 
+/// Who says in which unit a column is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UnitFrom<'a> {
+    /// the file: the column has been brought to SI
+    File,
+    /// the bench file
+    Bench,
+    /// the header, of a column that is none of telemetry
+    Header(&'a str),
+    /// nobody
+    Nobody,
+}
+
 /// A file in memory. Columns of telemetry stand there under our names and in SI units beside those of the file.
 #[derive(Clone, Debug)]
 pub struct Table {
@@ -172,11 +185,6 @@ impl Table {
         exact.or_else(alike)
     }
 
-    /// The header of the column that is called by a name, which may leave out the header's unit.
-    pub fn header_of(&self, name: &str) -> Option<&str> {
-        self.position(name).map(|c| self.names[c].as_str())
-    }
-
     /// Whether there is a column of this name.
     pub fn has(&self, name: &str) -> bool {
         self.position(name).is_some()
@@ -221,22 +229,31 @@ impl Table {
         matches!(self.column(name), Ok(Column::Moments(_)))
     }
 
-    /// The unit that the file stated for a column, which has been brought to SI since.
-    pub fn stated(&self, name: &str) -> Option<&str> {
-        let made = self.made.iter().find(|m| m.name == name)?;
-        made.unit.as_deref()
-    }
-
-    /// Whether a unit that somebody else says of a column is against what the file states. A column that was made of one
-    /// of another name is in SI units: saying so is no contradiction.
+    /// Who says in which unit a column is: the file, whose word has been obeyed, a bench file, or the column's header.
     ///
+    /// * `said` in the bench file
     /// * `si` unit of the quantity
-    pub fn contradicts(&self, name: &str, unit: &str, si: &str) -> bool {
+    ///
+    /// # Errors
+    /// A unit that is against what the file states. (A column that was made of one of another name is in SI units:
+    /// saying so is no contradiction.)
+    pub fn unit_from(&self, name: &str, said: Option<&str>, si: &str) -> Result<UnitFrom<'_>> {
         let made = self.made.iter().find(|m| m.name == name);
-        made.is_some_and(|m| {
-            let is_stated = m.unit.as_deref().is_none_or(|stated| stated == unit);
-            !(is_stated || m.from != m.name && unit == si)
-        })
+        match (made.and_then(|m| Some((m, m.unit.as_deref()?))), said) {
+            (Some((made, stated)), Some(unit)) if stated != unit && !(made.from != made.name && unit == si) => {
+                let place = format!("column `{name}`, unit of the bench file");
+                let allowed = format!("`{stated}`, as the file itself says, or nothing");
+                Err(Error::bad(&self.file, place, format!("`{unit}`"), allowed))
+            }
+            (Some(_), _) => Ok(UnitFrom::File),
+            (None, Some(_)) => Ok(UnitFrom::Bench),
+            (None, None) => {
+                let header = self.position(name).map(|c| self.names[c].as_str());
+                Ok(header
+                    .and_then(|h| header::split(h).1)
+                    .map_or(UnitFrom::Nobody, UnitFrom::Header))
+            }
+        }
     }
 
     /// What was brought from other names and units, in words; not what is merely spelt otherwise.

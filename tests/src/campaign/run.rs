@@ -217,10 +217,7 @@ fn one(options: &Options, plan: &Plan, case: u64, pool: &ThreadPool) -> Result<V
         Ok(Ok(f)) => kept(&f.to_json()),
         Ok(Err(e)) => json!({ "verdict": "error", "error": format!("{e:#}") }),
         Err(panic) => {
-            let said = panic.downcast_ref::<String>().map(String::as_str);
-            let said = said
-                .or_else(|| panic.downcast_ref::<&str>().copied())
-                .unwrap_or_default();
+            let said = schemas::guard::words(&*panic);
             json!({ "verdict": "error", "error": format!("panic: {said}") })
         }
     };

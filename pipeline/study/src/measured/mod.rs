@@ -3,3 +3,4 @@ pub mod check;
 pub mod filter;
 pub mod own;
 pub mod recording;
+pub(crate) mod rows;

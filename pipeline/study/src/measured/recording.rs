@@ -3,6 +3,7 @@
 
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Noise, Role, RunSpec};
 use crate::measured::own::with_q_current;
+use crate::measured::rows::{Labels, column, in_si, split};
 use ema_tables::Table;
 use schemas::error::{Error, Result};
 use std::collections::BTreeMap;
@@ -203,81 +204,6 @@ fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
         map.channels.insert(*c, means);
     }
     Ok(map)
-}
-
-pub(crate) type Labels = Vec<(String, String)>;
-
-/// Rows of each run that a `[[run]]` makes of its file.
-pub(crate) fn split(table: &Table, spec: &RunSpec) -> Result<Vec<(Labels, Vec<usize>)>> {
-    let mut rows: Vec<usize> = (0..table.rows).collect();
-    for (column, values) in &spec.filter {
-        let texts = table.texts(column)?;
-        rows.retain(|&r| values.contains(&texts[r]));
-        if rows.is_empty() {
-            let found = format!("no row with {column} = {}", values.join(" or "));
-            return Err(Error::bad(&table.file, "where", found, "a value that is there"));
-        }
-    }
-    let single = |f: &&(String, Vec<String>)| f.1.len() == 1;
-    let fixed: Labels = spec
-        .filter
-        .iter()
-        .filter(single)
-        .map(|(c, v)| (c.clone(), v[0].clone()))
-        .collect();
-    if spec.split.is_empty() {
-        return Ok(vec![(fixed, rows)]);
-    }
-    let keys = spec.split.iter().map(|c| table.texts(c));
-    let keys = keys.collect::<Result<Vec<_>>>()?;
-    let mut groups: Vec<(Labels, Vec<usize>)> = Vec::new();
-    for r in rows {
-        let values = spec.split.iter().zip(&keys).map(|(c, k)| (c.clone(), k[r].clone()));
-        let labels: Labels = fixed.iter().cloned().chain(values).collect();
-        match groups.iter_mut().find(|(l, _)| *l == labels) {
-            Some((_, rows)) => rows.push(r),
-            None => groups.push((labels, vec![r])),
-        }
-    }
-    Ok(groups)
-}
-
-/// A column of a channel, and its factor to SI at the motor. A unit that the file states itself is obeyed.
-fn column<'a>(table: &'a Table, c: &ChannelSpec, name: &str) -> Result<(&'a [f64], f64)> {
-    let values = table.numbers(name)?;
-    let stated = table.stated(name);
-    let factor = match (stated, &c.unit) {
-        (Some(stated), Some(unit)) if table.contradicts(name, unit, c.channel.quantity().si()) => {
-            let place = format!("column `{name}`, unit of the bench file");
-            let allowed = format!("`{stated}`, as the file itself says, or nothing");
-            return Err(Error::bad(&table.file, place, format!("`{unit}`"), allowed));
-        }
-        (Some(_), _) => c.factor / c.unit_factor,
-        (None, Some(_)) => c.factor,
-        (None, None) => {
-            let in_header = table.header_of(name).and_then(ema_tables::unit_of);
-            let known = in_header.and_then(|u| c.channel.quantity().factor(u, c.lead).ok());
-            known.map_or(c.factor, |f| c.factor / c.unit_factor * f)
-        }
-    };
-    Ok((values, factor))
-}
-
-/// A channel in the rows of a run, less the column that is to be taken off, SI at the motor.
-pub(crate) fn in_si(table: &Table, c: &ChannelSpec, rows: &[usize]) -> Result<Vec<f64>> {
-    let (x, factor) = column(table, c, &c.column)?;
-    let Some(minus) = &c.minus else {
-        return Ok(rows.iter().map(|&r| x[r] * factor).collect());
-    };
-    let (m, of_minus) = column(table, c, minus)?;
-    let value = |&r: &usize| {
-        if factor == of_minus {
-            (x[r] - m[r]) * factor
-        } else {
-            x[r] * factor - m[r] * of_minus
-        }
-    };
-    Ok(rows.iter().map(value).collect())
 }
 
 /// * `usual` step of the runs before, which this one shares if it is nearly so [s]

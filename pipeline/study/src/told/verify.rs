@@ -3,7 +3,7 @@
 
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role, RunSpec};
 use crate::measured::own::with_q_current;
-use crate::measured::recording::{in_si, split};
+use crate::measured::rows::{in_si, split};
 use ema_tables::Table;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::Result;
