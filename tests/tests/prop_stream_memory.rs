@@ -1,8 +1,8 @@
 //! Frames are written and read in shared memory itself, and nothing is allocated for a frame on
 //! either side beyond the handle of fixed size that iceoryx2 0.10 itself allocates for each loan
 //! (shown on a bare port in the same test). Over an hour of streams the diagnosing core allocates nothing for a frame, a bounded amount
-//! for a diagnosis, and holds no more at the end than at the beginning. Alone in their program, one after the other, since they count
-//! what the program allocates.
+//! for a diagnosis, and holds no more at the end than at the beginning. Each counts what its own thread allocates: what runs the tests
+//! allocates too, at times of its own.
 
 use diagnoser::diagnosis::{Diagnoser, Outcome};
 use diagnoser::failure_map::FailureMapSet;
@@ -16,22 +16,45 @@ use schemas::stream::publisher::{Delivery, Publisher};
 use schemas::stream::subscriber::Subscriber;
 use sim_worker::parameters::ActuatorParameters;
 use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
 use std::path::Path;
 use std::process::Command;
-use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-static BYTES: AtomicU64 = AtomicU64::new(0);
-static HELD: AtomicI64 = AtomicI64::new(0);
+/// What one thread has allocated.
+#[derive(Clone, Copy)]
+struct Count {
+    allocations: u64,
+    bytes: u64,
+    /// Bytes allocated less bytes given back.
+    held: i64,
+}
 
-/// Held by the test that counts.
-static ALONE: Mutex<()> = Mutex::new(());
+thread_local! {
+    static COUNT: Cell<Count> = const { Cell::new(Count { allocations: 0, bytes: 0, held: 0 }) };
+}
 
-/// Allocations and bytes so far.
+/// Adds an allocation of `bytes`, and `held` to what is held.
+fn count(allocations: u64, bytes: usize, held: i64) {
+    let add = |c: Count| Count {
+        allocations: c.allocations + allocations,
+        bytes: c.bytes + bytes as u64,
+        held: c.held + held,
+    };
+    // a thread that is ending counts no more
+    let _ = COUNT.try_with(|c| c.set(add(c.get())));
+}
+
+/// Allocations and bytes of this thread so far.
 fn allocated() -> (u64, u64) {
-    (ALLOCATIONS.load(Ordering::Relaxed), BYTES.load(Ordering::Relaxed))
+    let c = COUNT.get();
+    (c.allocations, c.bytes)
+}
+
+/// Bytes that this thread holds.
+fn held_now() -> i64 {
+    COUNT.get().held
 }
 
 /// Allocations and bytes since.
@@ -63,19 +86,15 @@ struct Counting;
 // SAFETY: passes everything on to the system's allocator
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        BYTES.fetch_add(layout.size() as u64, Ordering::Relaxed);
-        HELD.fetch_add(layout.size() as i64, Ordering::Relaxed);
+        count(1, layout.size(), layout.size() as i64);
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, p: *mut u8, layout: Layout) {
-        HELD.fetch_sub(layout.size() as i64, Ordering::Relaxed);
+        count(0, 0, -(layout.size() as i64));
         unsafe { System.dealloc(p, layout) }
     }
     unsafe fn realloc(&self, p: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        BYTES.fetch_add(size as u64, Ordering::Relaxed);
-        HELD.fetch_add(size as i64 - layout.size() as i64, Ordering::Relaxed);
+        count(1, size, size as i64 - layout.size() as i64);
         unsafe { System.realloc(p, layout, size) }
     }
 }
@@ -97,7 +116,6 @@ fn mapped_file(address: usize) -> String {
 
 #[test]
 fn prop_no_copy_and_no_allocation_per_frame() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let domain = TestDomain::default();
     let telemetry = reference_run(2.0, 0.2, "preflight", 10_000.0);
     let actuator = Arc::new(ActuatorParameters::reference());
@@ -205,7 +223,6 @@ const STAYS: i64 = 4 * 1024;
 
 #[test]
 fn prop_an_hour_of_streams_allocates_nothing_for_a_frame() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let maps = Arc::new(maps());
     let recordings = reference_runs(&[(2.0, 0.2), (3.3, 0.11), (1.4, 0.4)], "preflight", 10_000.0);
     let actuator = Arc::new(ActuatorParameters::reference());
@@ -254,7 +271,7 @@ fn prop_an_hour_of_streams_allocates_nothing_for_a_frame() {
     let (mut most_of_begin, mut most_of_diagnosis, mut held) = ((0, 0), (0, 0), 0);
     for test in 0..HOUR {
         if test == FILLED {
-            held = HELD.load(Ordering::Relaxed);
+            held = held_now();
         }
         for (header, payload) in &tests[test as usize % ACTUATORS] {
             now += 10_000_000;
@@ -296,7 +313,7 @@ fn prop_an_hour_of_streams_allocates_nothing_for_a_frame() {
             }
         }
     }
-    let grown = HELD.load(Ordering::Relaxed) - held;
+    let grown = held_now() - held;
     println!(
         "{frames} frames, {allocating} of them allocate; a beginning {most_of_begin:?}, a diagnosis {most_of_diagnosis:?} at most \
          (allocations, bytes); held after {HOUR} tests {grown} bytes more than after {FILLED}"
