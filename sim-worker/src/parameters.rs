@@ -336,6 +336,9 @@ pub fn most(parameter: usize) -> f64 {
 }
 
 impl ActuatorParameters {
+    /// Stands for the reference actuator in place of a file.
+    pub const BUILT_IN: &str = "reference";
+
     /// Values in the order of [`PARAMETERS`].
     pub fn values(&self) -> [f64; PARAMETERS.len()] {
         let all = self.all();
@@ -388,11 +391,14 @@ impl ActuatorParameters {
         REFERENCE
     }
 
-    /// Reads a file.
+    /// Reads a file. `reference` is the reference actuator, unless a file has that name.
     ///
     /// # Errors
     /// A file that cannot be read; else as [`ActuatorParameters::parse`].
     pub fn read(path: &Path) -> Result<Self> {
+        if path == Path::new(Self::BUILT_IN) && !path.exists() {
+            return Ok(Self::reference());
+        }
         Self::from_section(toml_section::read(path)?)
     }
 

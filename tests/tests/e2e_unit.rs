@@ -99,7 +99,7 @@ fn e2e_a_unit_with_a_healthy_test_is_diagnosed_relative_to_itself() {
         ok(&[&["unit", "update", text(unit)], &files[..], &["--healthy"], &grid[..]].concat())
     };
     update(&a, &[&h0, &h1]);
-    ok(&["unit", "new", text(&b), "--name", "a"]);
+    ok(&["unit", "new", text(&b), "--name", "a", "--actuator", "reference"]);
     update(&b, &[&h0]);
     update(&b, &[&h1]);
     let bytes = |f: &Path| std::fs::read(f).unwrap();

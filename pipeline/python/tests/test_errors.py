@@ -65,7 +65,7 @@ class Errors(Folder):
         with open(path, "w") as f:
             f.write("t,com,theta_m,omega_m,i_eq\n0.0001,0,0,0,0\n0.0002,0,x,0,0\n")
         e = self.refused(ema.diagnose, path)
-        self.assertEqual((e.file, e.place, e.found), (path, "line 3, column `theta_m`", "x"))
+        self.assertEqual((e.file, e.place, e.found), (path, "line 3, column `theta_m`", "`x`"))
         torn = self.file("torn.parquet")
         with open(torn, "wb") as f:
             f.write(b"PAR1" + bytes(100))

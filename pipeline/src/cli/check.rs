@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 #[derive(Args)]
 pub struct CheckArgs {
-    /// The actuator, a TOML file
+    /// The actuator, a TOML file, or `reference`
     actuator: PathBuf,
     /// The test, by name or TOML file
     #[arg(long, default_value = "preflight")]

@@ -173,7 +173,7 @@ struct BenchArgs {
 /// Which actuator.
 #[derive(Args, Default)]
 pub struct ActuatorArg {
-    /// Actuator parameters, a TOML file; the reference actuator (values assumed) if left out
+    /// Actuator parameters, a TOML file; `reference`, or nothing, is the reference actuator (values assumed)
     #[arg(long, value_name = "FILE", help_heading = MODEL)]
     actuator: Option<PathBuf>,
 }

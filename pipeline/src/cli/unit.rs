@@ -7,8 +7,9 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use diagnoser::unit::UnitFile;
 use schemas::error::EXIT_LOSS;
+use sim_worker::parameters::ActuatorParameters;
 use sim_worker::spread::Cause;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -90,7 +91,11 @@ fn told(unit: &UnitFile, as_json: bool) {
 }
 
 fn new(a: &NewArgs) -> Result<ExitCode> {
-    let source = a.actuator.path().map_or(REFERENCE.into(), |p| p.display().to_string());
+    let file = a
+        .actuator
+        .path()
+        .filter(|p| *p != Path::new(ActuatorParameters::BUILT_IN));
+    let source = file.map_or(REFERENCE.into(), |p| p.display().to_string());
     let beginning = Beginning {
         actuator: a.actuator.named()?.map(|named| (named.as_ref().clone(), source)),
         study: a.study.clone(),

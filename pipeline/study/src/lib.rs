@@ -12,4 +12,4 @@ pub mod search;
 pub mod told;
 
 /// Stands for the reference actuator in place of a file.
-pub const REFERENCE: &str = "reference";
+pub const REFERENCE: &str = sim_worker::parameters::ActuatorParameters::BUILT_IN;

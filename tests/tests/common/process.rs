@@ -30,6 +30,19 @@ pub fn ema(args: &[&str]) -> Command {
     c
 }
 
+/// A script for `bash` that finds `ema` in `PATH`.
+pub fn shell(script: &str) -> Command {
+    let mut c = Command::new("bash");
+    let path = format!(
+        "{}:{}",
+        program().parent().unwrap().display(),
+        std::env::var("PATH").unwrap()
+    );
+    c.env("EMA_CACHE_DIR", cache()).env("PATH", path).stdin(Stdio::null());
+    c.args(["-e", "-c", script]);
+    c
+}
+
 pub fn run(args: &[&str]) -> Output {
     ema(args).output().unwrap()
 }
