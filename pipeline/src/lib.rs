@@ -64,6 +64,7 @@ pub mod input;
 pub mod interruptible;
 pub mod map_table;
 pub mod maps;
+pub mod one_run;
 pub(crate) mod output;
 pub mod prognosis;
 pub mod refine;

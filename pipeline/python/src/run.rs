@@ -6,7 +6,7 @@ use crate::table::Table;
 use crate::work::long;
 use anyhow::Result;
 use arrow::array::RecordBatch;
-use pipeline::{COMMIT, Interrupted};
+use pipeline::one_run::{Model, OneRun};
 use pyo3::prelude::*;
 use schemas::channel::ChannelSet;
 use schemas::fault::FaultState;
@@ -15,8 +15,6 @@ use schemas::telemetry::Collector;
 use sim_worker::catalogue;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::setup::TestSetup;
-use sim_worker::simulate::{Run, simulate};
-use sim_worker::test_bench::Lane;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -69,7 +67,7 @@ pub fn table_of(
 }
 
 #[pyfunction]
-#[pyo3(signature = (actuator, fsj, zeta, sequence, rate_hz, sensors, rest_angle_deg, load_n_m, seed, channels, progress=None))]
+#[pyo3(signature = (actuator, fsj, zeta, sequence, rate_hz, sensors, rest_angle_deg, load_n_m, seed, channels, model, progress=None))]
 #[allow(clippy::too_many_arguments)]
 pub fn run(
     py: Python<'_>,
@@ -83,6 +81,7 @@ pub fn run(
     load_n_m: f64,
     seed: u64,
     channels: Vec<String>,
+    model: String,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Table> {
     let described = Described {
@@ -95,22 +94,11 @@ pub fn run(
     };
     let fault = FaultState::new(fsj, zeta).map_err(|(place, x, allowed)| to_py(py, bad(place, x, allowed)))?;
     let table = long(py, progress, Some(1), move |state| {
-        let setup = described.setup()?;
-        let channels = catalogue::channels(&channels)?;
-        let experiment = setup.experiment(channels)?;
-        let lane = Lane {
-            actuator: setup.actuator.clone(),
-            fault,
-            rest_angle_rad: setup.rest_angle_rad,
-            load_n_m: setup.load_n_m,
-        };
-        let run = Run { number: 0, lane, seed };
-        let mut sinks = [Collector::default()];
-        let go_on = || !state.stop.load(Ordering::Relaxed);
-        simulate(&experiment, &[run], &mut sinks, go_on)?.ok_or(Interrupted)?;
+        let run = OneRun::new(described.setup()?, fault, Model::named(&model)?, seed, &channels)?;
+        let mut samples = Collector::default();
+        run.simulate_into(&mut samples, || !state.stop.load(Ordering::Relaxed))?;
         state.runs.store(1, Ordering::Relaxed);
-        let single = experiment.sensors.is_some();
-        table_of(&sinks[0], channels, single, rate_hz, &setup.provenance(seed, COMMIT))
+        table_of(&samples, run.channels, run.is_sensed(), rate_hz, &run.provenance())
     })?;
     Ok(Table::of(table))
 }

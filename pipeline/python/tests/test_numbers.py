@@ -52,6 +52,21 @@ class Numbers(Folder):
         self.assertEqual(ours.metadata, theirs)
 
     @needs("pyarrow")
+    def test_the_simplified_model_has_the_programs_samples(self):
+        import pyarrow
+
+        path = self.file("sm.parquet")
+        program("run", "--model", "sm", "--out", path)
+        ours = pyarrow.table(ema.run(model="sm"))
+        theirs = pyarrow.parquet.read_table(path)
+        self.assertEqual(ours.column_names, theirs.column_names)
+        self.assertTrue(all(ours[n].combine_chunks().equals(theirs[n].combine_chunks()) for n in ours.column_names))
+        with self.assertRaises(ema.InputError):
+            ema.run(model="sm", fsj=2)
+        with self.assertRaises(ema.InputError):
+            ema.run(model="other")
+
+    @needs("pyarrow")
     def test_a_sweep_is_a_dataset_of_the_program(self):
         import pyarrow.parquet
 

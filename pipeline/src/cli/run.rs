@@ -1,29 +1,16 @@
 //! `ema run`.
 
 use super::{ActuatorArg, MODEL, OUTPUT};
-use crate::COMMIT;
+use crate::one_run::{Model, OneRun};
 use crate::output::Writer;
 use anyhow::Result;
-use clap::{Args, ValueEnum};
-use schemas::channel::{Channel, ChannelSet};
+use clap::Args;
+use schemas::channel::Channel;
 use schemas::error::Error;
 use schemas::fault::FaultState;
-use schemas::recording::Provenance;
-use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
-use sim_worker::monitor::MonitorTrack;
 use sim_worker::setup::TestSetup;
-use sim_worker::simulate::{Run, simulate};
-use sim_worker::test_bench::Lane;
 use std::path::PathBuf;
 use std::process::ExitCode;
-
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Model {
-    /// numerical test bench
-    Ntb,
-    /// simplified model, healthy actuator only
-    Sm,
-}
 
 #[derive(Args)]
 pub struct RunArgs {
@@ -99,68 +86,9 @@ pub fn run(a: &RunArgs) -> Result<ExitCode> {
         load_n_m: finite("--load-n-m", a.load_n_m)?,
         ..TestSetup::new(actuator, sim_worker::catalogue::sequence(&a.sequence)?, a.rate)
     };
-    let (actuator, rest_angle_rad, load_n_m) = (setup.actuator.clone(), setup.rest_angle_rad, setup.load_n_m);
-    let mut channels = sim_worker::catalogue::channels(&a.channels)?;
-    let e = setup.experiment(channels)?;
-    if a.model == Model::Sm {
-        if fault != FaultState::NOMINAL || load_n_m != 0.0 || e.sensors.is_some() {
-            let found = format!(
-                "fsj {}, zeta {}, load {}, sensors {}",
-                a.fsj, a.zeta, load_n_m, a.sensors
-            );
-            let allowed = "fsj 1, zeta 0, load 0, sensors none: the simplified model knows the healthy actuator only";
-            return Err(Error::bad("command line", "--model sm", found, allowed).into());
-        }
-        use Channel::*;
-        channels = ChannelSet::of([Com, ThetaU, ThetaM, OmegaM, IEq, TorqueM]);
-    }
-    let provenance = Provenance {
-        model: if a.model == Model::Ntb { "ntb" } else { "sm" }.into(),
-        ..setup.provenance(a.seed, COMMIT)
-    };
-    let mut writer = Writer::create(&a.out, &provenance, channels, e.sensors.is_some())?;
-    match a.model {
-        Model::Ntb => {
-            let lane = Lane {
-                actuator,
-                fault,
-                rest_angle_rad,
-                load_n_m,
-            };
-            let run = Run {
-                number: 0,
-                lane,
-                seed: a.seed,
-            };
-            let go_on = || !crate::progress::interrupted();
-            if simulate(&e, &[run], std::slice::from_mut(&mut writer), go_on)?.is_none() {
-                return Err(crate::Interrupted.into());
-            }
-        }
-        Model::Sm => {
-            let track = MonitorTrack::run(&actuator, &e.sequence, e.rate_hz);
-            let theta_m: Vec<f64> = track.theta_m_rad.iter().map(|x| x + rest_angle_rad).collect();
-            let view = TelemetryView::new(1, track.com_rad.len())
-                .with(Channel::Com, &track.com_rad)
-                .with(Channel::ThetaU, &track.theta_u_rad)
-                .with(Channel::ThetaM, &theta_m)
-                .with(Channel::OmegaM, &track.omega_rad_per_s)
-                .with(Channel::IEq, &track.abs_current_a)
-                .with(Channel::TorqueM, &track.torque_n_m);
-            let header = TelemetryHeader {
-                run: 0,
-                actuator: provenance.actuator.clone(),
-                parameters: provenance.parameters.clone(),
-                sensors: "none".into(),
-                sequence: provenance.sequence.clone(),
-                rate_hz: e.rate_hz,
-                channels,
-                fault: Some(fault),
-                rest_angle_rad: Some(rest_angle_rad),
-            };
-            writer.accept(&header, &view)?;
-        }
-    }
+    let run = OneRun::new(setup, fault, a.model, a.seed, &a.channels)?;
+    let mut writer = Writer::create(&a.out, &run.provenance(), run.channels, run.is_sensed())?;
+    run.simulate_into(&mut writer, || !crate::progress::interrupted())?;
     writer.finish()?;
     Ok(ExitCode::SUCCESS)
 }

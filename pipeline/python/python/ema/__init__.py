@@ -53,9 +53,10 @@ def run(
     load_n_m: float = 0.0,
     seed: int = 0,
     channels: Sequence[str] = (),
+    model: str = "ntb",
     progress: Progress = None,
 ) -> Table:
-    """Simulates one run of the numerical test bench.
+    """Simulates one run of the numerical test bench, or of the simplified model.
 
     The same samples as ``ema run --out run.parquet``.
 
@@ -71,6 +72,7 @@ def run(
         seed: of the sensor noise.
         channels: beside the basic ones: ``v_a`` ``v_b`` ``v_c`` [V], ``torque_m`` [N m], ``i_q`` [A], ``i_supply`` [A],
             ``v_dc`` [V], or ``all``.
+        model: ``ntb``, or ``sm``: the simplified model knows the healthy actuator only, without load and sensors.
         progress: True, or a function of runs done and runs of all.
 
     Returns:
@@ -92,6 +94,7 @@ def run(
             load_n_m,
             seed,
             list(channels),
+            model,
             tell,
         )
 

@@ -166,6 +166,7 @@ def run(
     load_n_m: float,
     seed: int,
     channels: list[str],
+    model: str,
     progress: _Tell = None,
 ) -> Table: ...
 def sweep(
