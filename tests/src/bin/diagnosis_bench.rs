@@ -1,6 +1,7 @@
 //! `cargo run --release -p ema-tests --bin diagnosis-bench -- [--grid NAME] [--tests N] [--seed N] [--refined N] [--coverage] [--record OUT.md]`:
 //! coverage, widths, errors, silent misses and time of diagnoses, on tests that maps and calibration have
-//! not seen. Takes some minutes; `--coverage` ends after the coverage.
+//! not seen. Takes some minutes; `--coverage` ends after the coverage. `--angles none` (or another spread) gives the coverage at twelve
+//! rest angles instead, calibrated as on first use and as `ema calibrate` does.
 
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
@@ -24,6 +25,8 @@ struct Options {
     coverage_only: bool,
     /// tests that the slow estimator is run on, too
     refined: usize,
+    /// spread at twelve rest angles
+    angles: Option<String>,
     record: Option<String>,
 }
 
@@ -35,6 +38,7 @@ impl Options {
             seed: 1,
             coverage_only: false,
             refined: 120,
+            angles: None,
             record: None,
         };
         while let Some(arg) = args.next() {
@@ -44,9 +48,12 @@ impl Options {
                 "--tests" => options.tests = value()?.parse()?,
                 "--refined" => options.refined = value()?.parse()?,
                 "--seed" => options.seed = value()?.parse()?,
+                "--angles" => options.angles = Some(value()?),
                 "--record" => options.record = Some(value()?),
                 "--coverage" => options.coverage_only = true,
-                _ => anyhow::bail!("{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --record FILE"),
+                _ => anyhow::bail!(
+                    "{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --angles SPREAD, --record FILE"
+                ),
             }
         }
         Ok(options)
@@ -56,7 +63,10 @@ impl Options {
 fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
     let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
-    let text = bench(&cache, &options);
+    let text = match &options.angles {
+        Some(spread) => at_twelve_angles(&cache, spread, &options),
+        None => bench(&cache, &options),
+    };
     let _ = std::fs::remove_dir_all(&cache);
     let text = text?;
     if let Some(path) = &options.record {
@@ -188,5 +198,48 @@ fn at_random_angles(cache: &std::path::Path) -> Result<String> {
             width(|w, _| w.1)
         );
     }
+    Ok(out)
+}
+
+/// Degrees that no symmetry of phases and poles ties together.
+const ANGLES: [f64; 12] = [
+    0.0, 20.0, 45.0, 77.0, 108.0, 141.0, 171.0, 200.0, 233.0, 264.0, 297.0, 331.0,
+];
+
+/// Coverage at each angle, with either effort of calibration, on the same fresh tests.
+fn at_twelve_angles(cache: &std::path::Path, spread: &str, options: &Options) -> Result<String> {
+    let spread = sim_worker::catalogue::spread(spread)?;
+    let mut out = format!(
+        "## Twelve rest angles, spread {}\n\nMaps on the grid `{}`; {} fresh tests at each angle. Truth inside both intervals, of all tests [95 % \
+         Wilson].\n\n| rest angle | maps | as on first use % | unexplained | width FSJ, zeta | {} runs % | unexplained | width FSJ, zeta |\n\
+         |---|---|---|---|---|---|---|---|\n",
+        spread.name, options.grid, options.tests, EFFORT.runs
+    );
+    let mut sums = [0; 2];
+    for degrees in ANGLES {
+        let dir = cache.join(format!("maps-{degrees}"));
+        let (set, setup) = reference_maps(&dir, &options.grid, degrees.to_radians())?;
+        let (units, measured) = fresh(&setup, &spread, options.tests, options.seed ^ ((degrees as u64) << 32))?;
+        let _ = write!(out, "| {degrees} deg | {} |", set.maps.len());
+        for (effort, sum) in [Effort::QUICK, EFFORT].into_iter().zip(&mut sums) {
+            let campaign = Campaign::run(&setup, &spread, effort, FSJ, ZETA)?.context("interrupted")?;
+            let cases = judge(&calibrated(&set, &campaign)?, &units, &measured);
+            let inside = cases.iter().filter(|c| c.inside).count();
+            *sum += inside;
+            let width =
+                |f: fn((f64, f64), f64) -> f64| quantile(cases.iter().filter_map(|c| Some(f(c.found?.0, c.fsj))), 0.5);
+            let _ = write!(
+                out,
+                " {} | {} | {:.2} %, {:.4} |",
+                ema_tests::coverage::percent(inside, cases.len()),
+                cases.iter().filter(|c| c.outcome == "unexplained").count(),
+                width(|w, fsj| 100.0 * w.0 / fsj),
+                width(|w, _| w.1)
+            );
+        }
+        out.push('\n');
+    }
+    let all = sums.map(|s| ema_tests::coverage::percent(s, ANGLES.len() * options.tests));
+    let _ = writeln!(out, "| all | | {} | | | {} | | |", all[0], all[1]);
     Ok(out)
 }
