@@ -325,22 +325,46 @@ pub(crate) fn quoted(path: &Path) -> String {
 /// * `file` the recording
 /// * `unit` that was tested, and its file
 /// * `actuator` file of the one that it was taken for; the reference if `None`
-pub fn next_command(file: &Path, unit: Option<(&UnitFile, &Path)>, actuator: Option<&Path>) -> (String, &'static str) {
+/// * `channels` file that says which column is what
+pub fn next_command(
+    file: &Path,
+    case: &Case,
+    unit: Option<(&UnitFile, &Path)>,
+    actuator: Option<&Path>,
+    channels: Option<&Path>,
+) -> (Option<String>, &'static str) {
     if let Some((unit, path)) = unit.filter(|(u, _)| u.healthy() < BASELINES) {
         let more = match unit.healthy() {
             0 => "healthy tests of this very unit: what its model is off by is then known",
             _ => "more healthy tests of this very unit: three or more also show what its model is off by",
         };
-        return (format!("ema unit update {} RECORDING... --healthy", quoted(path)), more);
+        return (
+            Some(format!("ema unit update {} RECORDING... --healthy", quoted(path))),
+            more,
+        );
+    }
+    // what a study cannot be made of
+    let has = |c: Channel| case.measured.telemetry.column(c).is_some();
+    if !has(Channel::IQ) && ![Channel::IA, Channel::IB, Channel::IC].into_iter().all(has) {
+        let more =
+            "a recording with the signed current (i_q, or i_a, i_b, i_c) would show what is missing from the model";
+        return (None, more);
+    }
+    if input::is_dataset(file) {
+        return (
+            None,
+            "a file of this run alone (ema dataset export) would show what is missing from the model",
+        );
     }
     let of_unit = unit.map(|(u, _)| Path::new(&u.source)).filter(|p| p.exists());
     let model = of_unit.or(actuator);
     let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
+    let mapped = channels.map_or(String::new(), |c| format!(" --channels {}", quoted(c)));
     let study = format!(
-        "ema discrepancy --actuator {model} --bench {} --out study",
+        "ema discrepancy --actuator {model} --bench {}{mapped} --out study",
         quoted(file)
     );
-    (study, "finds what is missing from the model")
+    (Some(study), "finds what is missing from the model")
 }
 
 /// The diagnosis for programs: the keys of `ema diagnose --json`.

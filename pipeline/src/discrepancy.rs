@@ -1,6 +1,7 @@
 //! A study from files to files.
 
-use crate::case::{self, Case, Settings};
+use crate::case::{self, Case, Settings, quoted};
+use crate::check::setup_of;
 use crate::interruptible::interruptible;
 use crate::report_pages::discrepancy as page;
 use anyhow::Result;
@@ -16,6 +17,7 @@ use serde_json::Value;
 use sim_worker::effect::{Effect, Note};
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 pub use ema_study::REFERENCE;
 
@@ -25,6 +27,8 @@ pub struct Written {
     pub findings: Findings,
     /// the actuator's file with what was found, where something was
     pub model: Option<PathBuf>,
+    /// file of the rig with what was found, where something was and no actuator was given
+    pub rig: Option<PathBuf>,
     /// the page `report.html`
     pub report: Option<PathBuf>,
 }
@@ -41,6 +45,8 @@ pub struct Request {
     pub healthy: bool,
     /// run the simulators under the recorded command of a bench file too; recordings of telemetry always are
     pub verify: bool,
+    /// file whose section `[channels]` says which column of the recordings is what
+    pub channels: Option<PathBuf>,
 }
 
 impl Request {
@@ -49,9 +55,27 @@ impl Request {
         Self {
             model: Some(model.to_path_buf()),
             bench: vec![bench.to_path_buf()],
-            healthy: false,
-            verify: false,
+            ..Self::default()
         }
+    }
+
+    /// As a shell takes it, but for the folder.
+    ///
+    /// * `model` the actuator that was studied; empty where there was none
+    fn command(&self, model: &str) -> String {
+        let mut out = "ema discrepancy".to_string();
+        if !model.is_empty() {
+            out += &format!(" --actuator {}", quoted(Path::new(model)));
+        }
+        let bench: Vec<String> = self.bench.iter().map(|b| quoted(b)).collect();
+        out += &format!(" --bench {}", bench.join(" "));
+        if let Some(channels) = &self.channels {
+            out += &format!(" --channels {}", quoted(channels));
+        }
+        for (is_set, word) in [(self.healthy, " --healthy"), (self.verify, " --verify")] {
+            out += if is_set { word } else { "" };
+        }
+        out
     }
 }
 
@@ -65,7 +89,7 @@ pub fn study_file(request: &Request, tell: &dyn Fn(&str)) -> Result<Findings> {
 }
 
 /// As [`study_file`]; writes `report.json`, `report.html`, and where something was found on healthy machines and
-/// proven `actuator.toml`, into `out`.
+/// proven `actuator.toml`, or without an actuator `model.toml`, into `out`.
 ///
 /// # Errors
 /// As [`study_file`]; fails where `out` cannot be written.
@@ -101,7 +125,12 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         .as_ref()
         .map(|_| ActuatorParameters::parse(&name, &text))
         .transpose()?;
-    let bench = Bench::open(&request.bench, actuator.as_ref(), request.healthy)?;
+    let bench = Bench::open(
+        &request.bench,
+        actuator.as_ref(),
+        request.channels.as_deref(),
+        request.healthy,
+    )?;
     let names: Vec<String> = request.bench.iter().map(|b| b.display().to_string()).collect();
     let bench_file = names.join(" ");
     let runs = recording::read_runs(&bench)?;
@@ -111,9 +140,15 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
     }
     let mut findings;
     let mut new_text = None;
+    let mut rig_text = None;
+    let mut against = None;
     if bench.is_comparison() {
         findings = compare::compare(&bench, &runs);
         findings.model = name.clone();
+        findings.verification = request.verify.then(|| verify::Verification {
+            left_out: vec!["states are compared by an unsigned current: there is no model to simulate".into()],
+            ..Default::default()
+        });
     } else {
         check::check(&bench, &runs)?;
         let hashes: Vec<String> = {
@@ -122,10 +157,12 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
             all
         };
         let with_current = bench.rig.drive == ema_study::measured::bench::BenchChannel::Current;
-        let known = actuator.as_ref().map(|a| a.effects.clone()).unwrap_or_default();
-        let as_read = bench.clone();
+        let known = actuator
+            .as_ref()
+            .map_or_else(|| bench.effects.clone(), |a| a.effects.clone());
+        let (as_read, of_study) = (bench.clone(), known.clone());
         let search =
-            move |tell: &dyn Fn(&str)| ema_study::search::study::study(Material::new(bench, runs, &known), tell);
+            move |tell: &dyn Fn(&str)| ema_study::search::study::study(Material::new(bench, runs, &of_study), tell);
         let outcome = interruptible(tell_user, search)?;
         tell_user("intervals and report");
         findings = tell::findings(&outcome, &name);
@@ -133,11 +170,20 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
             let text = "no --actuator: the recordings are taken for the reference actuator's";
             findings.assumptions.push(text.to_string());
         }
+        // only what is proven on machines that somebody calls healthy may change what healthy means
+        let proven = outcome.material.held.is_some() && findings.health == "healthy";
+        let settled = !matches!(outcome.verdict, Verdict::None | Verdict::Unknown | Verdict::Candidate);
+        if outcome.material.held.is_none() {
+            against = Some("a run with the role heldout, or another recording, is to prove it".to_string());
+        }
+        if actuator.is_none() && proven && settled {
+            let source = source_of(&bench_file, &hashes);
+            let found = effects(&findings, None, &source, &hashes);
+            let all: Vec<Effect> = known.iter().cloned().chain(found).collect();
+            rig_text = Some(persist::rig(&as_read, &findings.retuned, &all, &source));
+        }
         if let Some(actuator) = actuator.as_ref() {
             let new = with_what_was_found(&findings, actuator, (&name, &text), with_current, &bench_file, &hashes);
-            // only what is proven on machines that somebody calls healthy may change what healthy means
-            let proven = outcome.material.held.is_some() && findings.health == "healthy";
-            let settled = !matches!(outcome.verdict, Verdict::None | Verdict::Unknown | Verdict::Candidate);
             if telemetry || request.verify {
                 tell_user("the simulators under the recorded command");
                 let child = match &new {
@@ -151,19 +197,37 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
             match new {
                 Ok(new) if proven && settled => {
                     findings.diff = persist::diff(&text, &new);
+                    if out.is_some() {
+                        tell_user("whether it can be diagnosed");
+                        against = stands_against(ActuatorParameters::parse(&name, &new)?)?;
+                    }
                     new_text = Some(new);
                 }
                 // an actuator may not take all of a rig: a load heavier than its rotor, a delay beside another
-                Err(e) if proven && settled => findings.assumptions.push(format!("not written into the model: {e}")),
+                Err(e) if proven && settled => {
+                    findings.assumptions.push(format!("not written into the model: {e}"));
+                    against = Some(e.to_string());
+                }
                 _ => {}
             }
         }
     }
     let written_model = out.zip(new_text.as_ref()).map(|(dir, _)| dir.join("actuator.toml"));
-    let sequence = next::next(&mut findings, out, written_model.as_deref(), &bench_file);
+    let written_rig = out.zip(rig_text.as_ref()).map(|(dir, _)| dir.join("model.toml"));
+    let around = next::Around {
+        command: &request.command(&name),
+        out,
+        model: written_model.as_deref(),
+        rig: written_rig.as_deref(),
+        against: against.as_deref(),
+    };
+    let sequence = next::next(&mut findings, &around);
     let mut report = None;
     if let Some(dir) = out {
         if let (Some(path), Some(text)) = (&written_model, &new_text) {
+            write_whole(path, text.as_bytes())?;
+        }
+        if let (Some(path), Some(text)) = (&written_rig, &rig_text) {
             write_whole(path, text.as_bytes())?;
         }
         if let Some((path, text)) = sequence {
@@ -176,6 +240,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
     Ok(Written {
         findings,
         model: written_model,
+        rig: written_rig,
         report,
     })
 }
@@ -191,16 +256,38 @@ fn with_what_was_found(
     bench_file: &str,
     hashes: &[String],
 ) -> schemas::error::Result<String> {
-    let source = format!("{bench_file}, data {}", hashes.join(" ")).replace('"', "'");
-    let source = source.chars().take(200).collect::<String>();
-    let parent = actuator.fingerprint();
-    let effects: Vec<Effect> = f
-        .effects
-        .iter()
-        .filter_map(|e| persist::effect(e, &parent, &source, notes(e, f, hashes)))
-        .collect();
+    let source = source_of(bench_file, hashes);
+    let effects = effects(f, Some(&actuator.fingerprint()), &source, hashes);
     let constants = persist::replaced(&f.retuned, actuator, with_current);
     persist::written(file.0, file.1, &constants, &f.correlation, &effects, &source)
+}
+
+/// Where values come from, in words.
+fn source_of(bench_file: &str, hashes: &[String]) -> String {
+    let source = format!("{bench_file}, data {}", hashes.join(" ")).replace('"', "'");
+    source.chars().take(200).collect()
+}
+
+/// What was found, as a file has it.
+///
+/// * `parent` fingerprint of the actuator that it is added to, if it is one
+fn effects(f: &Findings, parent: Option<&str>, source: &str, hashes: &[String]) -> Vec<Effect> {
+    let one = |e: &FoundEffect| persist::effect(e, parent, source, notes(e, f, hashes));
+    f.effects.iter().filter_map(one).collect()
+}
+
+/// What stands against a diagnosis of an actuator by the pre-flight test, as `ema check` says; nothing if `None`.
+///
+/// # Errors
+/// Where it was interrupted.
+fn stands_against(actuator: ActuatorParameters) -> Result<Option<String>> {
+    let setup = setup_of(Arc::new(actuator), sim_worker::catalogue::sequence("preflight")?);
+    let sensors = sim_worker::catalogue::sensors("reference")?;
+    match crate::check::check(&setup, sensors, &sim_worker::catalogue::grid("coarse")?) {
+        Ok(checked) => Ok(checked.findings.into_iter().find(|f| !f.ok).map(|f| f.found)),
+        Err(e) if e.is::<crate::Interrupted>() => Err(e),
+        Err(e) => Ok(Some(format!("{e:#}"))),
+    }
 }
 
 /// The last stretch of the circle: a recorded test against maps of the model that was written, or of the actuator as it

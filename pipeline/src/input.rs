@@ -5,6 +5,7 @@ mod plain;
 use crate::dataset::Dataset;
 use crate::dataset::export::KeptRun;
 use anyhow::{Result, bail};
+use ema_study::measured::check::cause;
 use ema_tables::{ChannelMap, Table};
 use schemas::channel::Channel;
 use schemas::error::Error;
@@ -15,6 +16,7 @@ use sim_worker::command::CommandTrack;
 use sim_worker::sensor::SensorModel;
 use sim_worker::setup::TestSetup;
 use std::io::Read;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 /// One recorded run in memory, and what the file says of itself.
@@ -137,7 +139,59 @@ pub fn open(path: &Path, how: How<'_>) -> Result<Measured> {
         plain::measured(&table, table.telemetry(how.run, how.channels)?, &how.sequences()?)?
     };
     check(path, &m)?;
+    if let Some(map) = how.channels {
+        check_motion(path, &m, map)?;
+    }
     Ok(m)
+}
+
+/// Ratios of the speed to the change of the angle that pass: sensors differ by a per cent, units and pole pairs by a
+/// factor (assumed).
+const SAME_MOTION: RangeInclusive<f64> = 0.8..=1.25;
+/// Travel over what the noise of the speed adds up to, and least travel [rad], that are enough to tell (assumed).
+const TRAVEL_OVER_NOISE: f64 = 20.0;
+const LEAST_TRAVEL_RAD: f64 = 0.5;
+
+/// Whether the speed is that of the angle. Compared as angles: what is added up has little noise.
+fn check_motion(path: &Path, m: &Measured, map: &ChannelMap) -> Result<()> {
+    let column = |c| m.telemetry.column(c).expect("checked when opened");
+    let (angle, speed) = (column(Channel::ThetaM), column(Channel::OmegaM));
+    let n = angle.len() as f64;
+    let mut sum = 0.0;
+    let mut added = vec![0.0; angle.len()];
+    let mut noise = 0.0;
+    for k in 1..angle.len() {
+        sum += 0.5 * (speed[k - 1] + speed[k]) / m.rate_hz;
+        added[k] = sum;
+        noise += 0.5 * (speed[k] - speed[k - 1]).powi(2);
+    }
+    let mean = |x: &[f64]| x.iter().sum::<f64>() / n;
+    let (of_angle, of_sum) = (mean(angle), mean(&added));
+    let (mut xx, mut xy) = (0.0, 0.0);
+    for (x, y) in angle.iter().zip(&added) {
+        xx += (x - of_angle).powi(2);
+        xy += (x - of_angle) * (y - of_sum);
+    }
+    // the noise of n samples adds up to sqrt(n) times that of one
+    let (travel, walk) = ((xx / n).sqrt(), noise.sqrt() / m.rate_hz);
+    let ratio = xy / xx;
+    if travel < LEAST_TRAVEL_RAD.max(TRAVEL_OVER_NOISE * walk) || SAME_MOTION.contains(&ratio) {
+        return Ok(());
+    }
+    let of = |c: Channel| map.column(c).unwrap_or(c.name()).to_string();
+    let place = format!("columns `{}`, `{}`", of(Channel::OmegaM), of(Channel::ThetaM));
+    let size = ratio.abs();
+    let pairs = (2..=8)
+        .map(f64::from)
+        .find(|p| [size, 1.0 / size].iter().any(|x| (x / p - 1.0).abs() < 0.03));
+    let cause = match pairs {
+        _ if ratio < 0.0 && SAME_MOTION.contains(&size) => "reversed sign".to_string(),
+        Some(p) => format!("a factor of {p}: pole pairs, electrical for mechanical"),
+        None => cause(size, 1.0),
+    };
+    let found = format!("{ratio:.4} times the speed of the angle (likely cause: {cause}; unit or scale in --channels)");
+    let allowed = format!("{} to {} times", SAME_MOTION.start(), SAME_MOTION.end());
+    Err(Error::bad(path.display().to_string(), place, found, allowed).into())
 }
 
 struct OneRun {
@@ -171,6 +225,11 @@ fn open_dataset(path: &Path, run: Option<u64>) -> Result<Measured> {
 }
 
 impl Measured {
+    /// Whether it is of a machine, as far as the file says: not of this project's simulation.
+    pub fn is_foreign(&self) -> bool {
+        self.setup.is_none() && self.load_n_m.is_none()
+    }
+
     /// What a file says of itself, and its samples.
     fn of(telemetry: Collector, p: Provenance, setup: Option<TestSetup>) -> Self {
         Self {

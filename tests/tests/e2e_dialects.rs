@@ -1,7 +1,7 @@
 //! One recording in the dialects in which people keep tables: read with the same diagnosis, or refused with its cause.
 mod common;
 
-use common::process::{json, ok, refused, text};
+use common::process::{ema, json, ok, refused, succeeded, text};
 use serde_json::Value;
 use std::path::Path;
 
@@ -311,7 +311,30 @@ fn e2e_columns_of_other_names_are_mapped() {
     let d = json(&["diagnose", text(&file), "--channels", text(&map), "--json"]);
     let (this, alike) = (found(&d), |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-12 * b.abs());
     assert!(this.1.iter().zip(&right.1).all(alike), "{this:?} for {right:?}");
-    assert!(d["read"].to_string().contains("omega_m from `speed`"), "{}", d["read"]);
+    for said in [
+        "omega_m from `speed` in rpm times -0.5",
+        "t from `Zeit` in s",
+        "i_a from `u` in A (assumed",
+    ] {
+        assert!(d["read"].to_string().contains(said), "{said}: {}", d["read"]);
+    }
+    // a study of the same table as the diagnosis says that it is to be run
+    let odd = dir.path().join("odd.csv");
+    let half = |_: usize, x: f64| format!("{:?}", 0.5 * x);
+    std::fs::write(&odd, r.with(5, half).named(names).with(4, rpm).separated(";")).unwrap();
+    let d = json(&["diagnose", text(&odd), "--channels", text(&map), "--json"]);
+    assert_eq!(d["outcome"], "unexplained");
+    let next = d["next_command"].as_str().unwrap();
+    let words: Vec<&str> = next.split(' ').skip(1).collect();
+    let said = succeeded(ema(&words).current_dir(dir.path()));
+    assert!(said.contains("written: study/report.json"), "{said}");
+    // the intervals of a stranger are no one's own
+    let advice = |file: &Path, more: &[&str]| ok(&[&["diagnose", text(file)], more].concat()).contains("\nadvice ");
+    let map_of = ["--channels", text(&map)];
+    assert!(advice(&file, &map_of) && !advice(&file, &[&map_of[..], &["--spread", "none"]].concat()));
+    let ours = dir.path().join("ours.parquet");
+    ok(&["run", "--rate", "1000", "--sensors", "reference", "--out", text(&ours)]);
+    assert!(!advice(&ours, &[]));
     // a unit that the header states needs no word
     let stated = dir.path().join("stated.csv");
     let names = ["Zeit [s]", "Soll", "user", "angle", "speed [rpm]", "abs", "u", "v", "w"];
@@ -329,6 +352,27 @@ fn e2e_columns_of_other_names_are_mapped() {
         ),
         ("scale = -0.5", "delay_s = 0.01", &["rig.toml", "delay_s", "0.01"][..]),
         ("command", "comand", &["rig.toml", "comand", "command"][..]),
+        (
+            "scale",
+            "scael",
+            &["rig.toml", "velocity.scael", "scale", "minus", "offset"][..],
+        ),
+        // what does not belong to the angle
+        (
+            "scale = -0.5",
+            "scale = -1",
+            &["own.csv", "`speed`", "2.000", "pole pairs", "0.8 to 1.25"][..],
+        ),
+        (
+            "scale = -0.5",
+            "scale = 0.5",
+            &["own.csv", "`speed`", "reversed sign"][..],
+        ),
+        (
+            "unit = \"rpm\"",
+            "unit = \"deg/s\"",
+            &["own.csv", "`speed`", "times the speed of the angle"][..],
+        ),
     ] {
         std::fs::write(&map, channels.replace(from, to)).unwrap();
         refused(&["diagnose", text(&file), "--channels", text(&map)], says);

@@ -6,6 +6,7 @@ mod common;
 use common::process::run;
 use ema_study::REFERENCE;
 use ema_study::measured::bench::Bench;
+use ema_study::measured::check::check;
 use ema_study::measured::recording::read_runs;
 use ema_study::search::fit::Term;
 use ema_study::search::scan::admissible;
@@ -75,6 +76,8 @@ fn prop_a_hidden_effect_is_named_with_its_parameters() {
         assert!(p.lo <= p.value && p.value <= p.hi, "{p:?}");
     }
     let held = f.gap.unwrap().heldout.unwrap();
+    // a gap that is down to the floor is explained, whatever the step said that chose the effect
+    assert!(f.effects[0].explained_share > 0.95, "{}", f.effects[0].explained_share);
     assert!(
         held.last < 1.1 * held.floor && held.retuned > 2.0 * held.floor,
         "{held:?}"
@@ -494,6 +497,87 @@ fn prop_without_held_out_data_there_are_candidates_and_nothing_is_written() {
         text.replacen("role = \"heldout\"", "role = \"fit\"", 1) + "[[run]]\nfile = \"fit1.csv\"\nrole = \"heldout\"\n";
     std::fs::write(&bench, both).unwrap();
     assert!(refused(&bench).contains("do not overlap"));
+    // nor can a few; windows that meet have one in common
+    let runs = text.find("[[run]]").unwrap();
+    let windows = |from: f64| {
+        let run = |role: &str, from: f64, to: f64| {
+            format!("[[run]]\nfile = \"fit1.csv\"\nrole = \"{role}\"\nwindow_s = [{from:?}, {to:?}]\n")
+        };
+        let all = text[..runs].to_string() + &run("fit", 0.0, 2.0) + &run("heldout", from, 4.0);
+        std::fs::write(&bench, all).unwrap();
+        let bench = Bench::read(&bench, Some(&ActuatorParameters::reference())).unwrap();
+        check(&bench, &read_runs(&bench).unwrap()).map_err(|e| e.to_string())
+    };
+    let said = windows(1.99).unwrap_err();
+    assert!(said.contains("rows (") && said.contains("role heldout"), "{said}");
+    windows(2.0).unwrap();
+}
+
+#[test]
+fn prop_a_rig_without_an_actuators_file_gets_a_model_that_a_study_takes() {
+    let dir = tempfile::tempdir().unwrap();
+    let cogging = Forced::new("cogging", &[("amplitude", 0.006), ("order", 6.0), ("phase", 0.7)]).unwrap();
+    let bench = hidden(dir.path(), 1, Class::One, vec![cogging]);
+    let request = |bench: &Path, healthy: bool| Request {
+        bench: vec![bench.to_path_buf()],
+        healthy,
+        ..Request::default()
+    };
+    // nobody says that it is healthy: what is to be said, and nothing written
+    let out = dir.path().join("study");
+    let w = study_into(&request(&bench, false), &out, &|_| {}).unwrap();
+    assert!(w.rig.is_none() && !out.join("model.toml").exists());
+    assert!(w.findings.next_command.unwrap().contains(" --healthy --out "));
+    let w = study_into(&request(&bench, true), &out, &|_| {}).unwrap();
+    assert_eq!(w.findings.verdict, "named", "{}", w.findings.sentence);
+    assert_eq!(w.findings.next_command, None);
+    assert!(
+        w.findings.next_reason.contains("model.toml"),
+        "{}",
+        w.findings.next_reason
+    );
+    // with it, the held-out runs find nothing more
+    let model = std::fs::read_to_string(w.rig.unwrap()).unwrap();
+    let text = std::fs::read_to_string(&bench).unwrap();
+    let fresh = bench.with_file_name("FRESH.toml");
+    std::fs::write(&fresh, model.clone() + &text[text.find("[channels]").unwrap()..]).unwrap();
+    let read = Bench::read(&fresh, None).unwrap();
+    assert_eq!(read.effects[0].kind, EffectKind::Cogging);
+    let inertia = w.findings.retuned.iter().find(|r| r.name == "inertia").unwrap();
+    let sigma = 0.5 * (inertia.hi - inertia.lo) / 1.96 / inertia.value;
+    assert!((read.rig.inertia.value / inertia.value - 1.0).abs() < 1e-12);
+    assert!((read.rig.inertia.trust.unwrap() / sigma - 1.0).abs() < 1e-6, "{model}");
+    let f = study_file(&request(&fresh, true), &|_| {}).unwrap();
+    assert!(
+        ["none", "retune"].contains(&f.verdict.as_str()) && f.effects.is_empty(),
+        "{}",
+        f.sentence
+    );
+    // another gear is another machine
+    let other = changed(&bench, "gear_ratio = { value = 500", "gear_ratio = { value = 1");
+    assert!(refused(&other).contains("rig.gear_ratio"));
+}
+
+#[test]
+fn prop_what_is_not_simulated_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let bench = hidden(dir.path(), 3, Class::Nothing, vec![]);
+    let text = std::fs::read_to_string(&bench).unwrap();
+    let line = text.lines().find(|l| l.starts_with("command = ")).unwrap();
+    let bench = changed(&bench, line, "");
+    let out = run(&[
+        "discrepancy",
+        "--actuator",
+        "reference",
+        "--bench",
+        bench.to_str().unwrap(),
+        "--verify",
+    ]);
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(
+        said.contains("not simulated") && said.contains("no channel `command`"),
+        "{said}"
+    );
 }
 
 #[test]

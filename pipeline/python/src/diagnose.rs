@@ -47,9 +47,10 @@ fn work(source: Source, mut settings: Settings, asked: &Asked) -> Result<Value> 
     let unexplained = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. });
     let next = unexplained.then(|| {
         let unit = settings.unit.as_deref().zip(asked.unit.as_deref());
-        let (command, _) = case::next_command(placed.path(), unit, asked.actuator.as_deref());
-        placed.named(&command)
+        let (command, _) = case::next_command(placed.path(), &case, unit, asked.actuator.as_deref(), None);
+        command.map(|c| placed.named(&c))
     });
+    let next = next.flatten();
     Ok(case::to_json(
         &case,
         settings.unit.as_deref(),

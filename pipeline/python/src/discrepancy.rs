@@ -40,6 +40,7 @@ pub fn discrepancy<'py>(
             bench,
             healthy,
             verify,
+            channels: None,
         };
         let written = study::study(&request, out.as_deref(), &|_| ())?;
         let mut cases = Vec::new();

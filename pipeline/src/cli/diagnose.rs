@@ -183,12 +183,12 @@ fn page(
     a: &DiagnoseArgs,
     case: &Case,
     unit: Option<&UnitFile>,
-    next: Option<&(String, &'static str)>,
+    next: Option<&(Option<String>, &'static str)>,
     refined: Option<&Refined>,
 ) -> Report {
     let around = Around {
         recording: quoted(&a.file),
-        next: next.map(|(command, why)| (command.clone(), why.to_string())),
+        next: next.and_then(|(command, why)| Some((command.clone()?, why.to_string()))),
         unit: unit.zip(a.unit.as_deref()).map(|(u, path)| OfUnit {
             file: quoted(path),
             relative: u.reference() == "unit",
@@ -243,7 +243,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     let unexplained = matches!(case.diagnosis.outcome, Outcome::Unexplained { .. });
     let next = unexplained.then(|| {
         let unit = settings.unit.as_deref().zip(a.unit.as_deref());
-        case::next_command(&a.file, unit, a.actuator.path())
+        case::next_command(&a.file, &case, unit, a.actuator.path(), a.recording.channels.as_deref())
     });
     let page = match &a.plot {
         Some(dir) => {
@@ -254,7 +254,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         None => None,
     };
     if a.json {
-        let command = next.as_ref().map(|n| n.0.as_str());
+        let command = next.as_ref().and_then(|n| n.0.as_deref());
         let mut json = case::to_json(&case, settings.unit.as_deref(), refined.as_ref(), command);
         if let Some(page) = &page {
             json["page"] = page.display().to_string().into();
@@ -275,8 +275,21 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         if let Some(r) = &refined {
             say(&refined_text(r, &case));
         }
-        if let Some(next) = &next {
-            say(&format!("next      {}\n          ({})", next.0, next.1));
+        // nobody says that the unit is the very actuator of the maps
+        if case.measured.is_foreign()
+            && a.spread == "own"
+            && settings.choice.spread.is_none()
+            && settings.unit.is_none()
+        {
+            say(
+                "advice    the intervals are for the very actuator of the maps, of a real unit they are too narrow: --spread fleet, or \
+                 --unit with a file of the unit (ema unit new)",
+            );
+        }
+        match &next {
+            Some((Some(command), why)) => say(&format!("next      {command}\n          ({why})")),
+            Some((None, why)) => say(&format!("next      {why}")),
+            None => {}
         }
         if let Some(page) = &page {
             say(&format!("page      {}", page.display()));

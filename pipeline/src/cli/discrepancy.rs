@@ -9,8 +9,9 @@ use anyhow::Result;
 use clap::Args;
 use diagnoser::diagnosis::Outcome;
 use diagnoser::report::versioned;
+use ema_study::measured::bench::is_recording;
 use ema_study::told::verify::Verification;
-use schemas::error::EXIT_LOSS;
+use schemas::error::{EXIT_LOSS, Error};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -26,6 +27,9 @@ pub struct DiscrepancyArgs {
     /// What was measured: a bench file (datasets/benches/README.md), or one or more recordings of telemetry
     #[arg(long, required = true, num_args = 1.., value_name = "FILE", help_heading = RECORDING)]
     bench: Vec<PathBuf>,
+    /// Which column of the recordings is which channel, and in what unit: the section [channels] of a bench file
+    #[arg(long, value_name = "BENCH.toml", help_heading = RECORDING)]
+    channels: Option<PathBuf>,
     /// The machine was healthy in all that was recorded: what is proven may be written into its model
     #[arg(long, help_heading = RECORDING)]
     healthy: bool,
@@ -40,7 +44,10 @@ pub struct DiscrepancyArgs {
     /// With the model that was written, or with the model as it was where none was written.
     #[arg(long, help_heading = OUTPUT, num_args = 1.., value_name = "RECORDING", requires = "out")]
     diagnose: Vec<PathBuf>,
-    /// Folder for report.html, report.json and actuator.toml; nothing is written if left out
+    /// Folder for report.html, report.json, and actuator.toml or model.toml; nothing is written if left out
+    ///
+    /// actuator.toml is the file of --actuator with what was found; without one, model.toml has constants and effects of the
+    /// rig. Both only where held-out data prove them and all runs are said to be healthy.
     #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     out: Option<PathBuf>,
     /// report.json on standard output (schemas/json/discrepancy.schema.json)
@@ -56,7 +63,12 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
         bench: a.bench.clone(),
         healthy: a.healthy,
         verify: a.verify,
+        channels: a.channels.clone(),
     };
+    if !a.diagnose.is_empty() && a.model.is_none() && !a.bench.iter().all(|b| is_recording(b)) {
+        let allowed = "--actuator: the actuator that was tested";
+        return Err(Error::bad("command line", "--diagnose", "no --actuator", allowed).into());
+    }
     let study = discrepancy::study(&request, a.out.as_deref(), &tell)?;
     drop(shown);
     let mut cases = Vec::new();
@@ -70,7 +82,7 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
     } else {
         say(&to_text(&study.findings));
         let json = study.report.as_ref().map(|r| r.with_extension("json"));
-        for path in [study.report, json, study.model].into_iter().flatten() {
+        for path in [study.report, json, study.model, study.rig].into_iter().flatten() {
             say(&format!("written: {}", path.display()));
         }
         for (test, c) in &cases {
@@ -90,7 +102,7 @@ fn to_text(f: &Findings) -> String {
     let mut t = format!("{}\n{}\n", f.verdict.replace('_', " ").to_uppercase(), f.sentence);
     for e in &f.effects {
         t += &format!(
-            "\n{}   ({} equation; explains {:.0} %)\n",
+            "\n{}   ({} equation; explains {:.0} % of the gap without it)\n",
             e.name,
             e.equation,
             100.0 * e.explained_share
@@ -158,8 +170,9 @@ fn to_text(f: &Findings) -> String {
     for (name, what) in &f.missing {
         t += &format!("missing: {name} would open {what}\n");
     }
-    if let Some(c) = &f.next_command {
-        t += &format!("\nnext: {c}\n  {}\n", f.next_reason);
+    match &f.next_command {
+        Some(c) => t += &format!("\nnext: {c}\n  {}\n", f.next_reason),
+        None => t += &format!("\nnext: {}\n", f.next_reason),
     }
     t
 }

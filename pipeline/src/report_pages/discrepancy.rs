@@ -142,7 +142,7 @@ fn effect(n: usize, e: &FoundEffect, blocks: &mut Blocks) -> Section {
     text += &blocks.code(&e.term);
     if e.explained_share.is_finite() {
         text += &format!(
-            "- It explains {} of the excess of its equation.\n",
+            "- It explains {} of the excess that its equation has without it.\n",
             share(e.explained_share)
         );
     }

@@ -34,18 +34,25 @@ pub(crate) struct Spec {
 }
 
 impl Spec {
-    /// Factor from the column to SI.
-    pub(crate) fn factor(&self, table: &Table) -> Result<f64> {
-        let unit = match table.unit_from(&self.column, self.unit.as_deref(), self.quantity.si())? {
-            UnitFrom::File | UnitFrom::Nobody => None,
-            UnitFrom::Bench => self.unit.as_deref(),
-            UnitFrom::Header(unit) => Some(unit),
+    /// Factor from the column to SI, and what was taken for it, in words.
+    ///
+    /// * `name` of the channel
+    pub(crate) fn factor(&self, table: &Table, name: &str) -> Result<(f64, String)> {
+        let si = self.quantity.si();
+        let (unit, who) = match table.unit_from(&self.column, self.unit.as_deref(), si)? {
+            UnitFrom::File => (si, ", to which the file's own unit was brought"),
+            UnitFrom::Nobody => (si, " (assumed: neither file nor channels say a unit)"),
+            UnitFrom::Bench => (self.unit.as_deref().unwrap_or(si), ""),
+            UnitFrom::Header(unit) => (unit, ", as the header says"),
         };
-        let factor = match unit {
-            Some(unit) => units::stated(self.quantity, unit).map_err(|a| self.bad(unit, &a))?,
-            None => 1.0,
+        let factor = units::stated(self.quantity, unit).map_err(|a| self.bad(unit, &a))?;
+        let scale = match self.scale {
+            1.0 => String::new(),
+            x => format!(" times {x}"),
         };
-        Ok(factor * self.scale)
+        let less = self.minus.as_ref().map_or(String::new(), |m| format!(" less `{m}`"));
+        let said = format!("{name} from `{}`{less} in {unit}{who}{scale}", self.column);
+        Ok((factor * self.scale, said))
     }
 
     fn bad(&self, found: &str, allowed: &str) -> Error {
@@ -93,7 +100,7 @@ impl ChannelMap {
             let mut t = section.section(&key)?;
             let column = t.text("column", "the name of a column")?;
             let optional = |t: &mut Section, key: &str| -> Result<Option<String>> {
-                if t.has(key) {
+                if t.may_have(key) {
                     t.text(key, "text").map(Some)
                 } else {
                     Ok(None)
@@ -106,6 +113,10 @@ impl ChannelMap {
             if delay_s != 0.0 {
                 return Err(t.bad("delay_s", delay_s, "0: a diagnosis takes no delay out"));
             }
+            for of_a_study in ["sampling", "resolution", "noise", "offset"] {
+                t.raw(of_a_study);
+            }
+            t.finish()?;
             let spec = Spec {
                 column,
                 minus,
@@ -124,6 +135,23 @@ impl ChannelMap {
 
     pub(crate) fn time(&self) -> Option<&Spec> {
         self.time.as_ref()
+    }
+
+    /// The column of the time, and its factor to seconds.
+    ///
+    /// # Errors
+    /// A unit that is none of time.
+    pub fn time_of(&self, table: &Table) -> Result<(String, f64)> {
+        match &self.time {
+            Some(spec) if table.is_moments(&spec.column) => Ok((spec.column.clone(), 1.0)),
+            Some(spec) => Ok((spec.column.clone(), spec.factor(table, "t")?.0)),
+            None => Ok(("t".into(), 1.0)),
+        }
+    }
+
+    /// The column that is named for a channel.
+    pub fn column(&self, c: Channel) -> Option<&str> {
+        self.of_channel(c).map(|s| s.column.as_str())
     }
 
     pub(crate) fn of_channel(&self, c: Channel) -> Option<&Spec> {

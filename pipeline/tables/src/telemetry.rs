@@ -114,25 +114,26 @@ impl Table {
             }
             Ok(values)
         };
+        let mut said = self.said();
         let mut t_s = cells(time)?;
         if let Some(spec) = map.and_then(ChannelMap::time)
             && !self.is_moments(time)
         {
-            let factor = spec.factor(self)?;
+            let (factor, words) = spec.factor(self, "t")?;
+            said.push(words);
             t_s.iter_mut().for_each(|t| *t *= factor);
         }
         if let Some(i) = (1..t_s.len()).find(|&i| t_s[i] <= t_s[i - 1]) {
             let (place, allowed) = (self.place(rows[i], time), format!("a time after {}", t_s[i - 1]));
             return Err(Error::bad(&self.file, place, t_s[i], allowed));
         }
-        let mut said = self.said();
         let mut channels: Vec<(Channel, Vec<f64>)> = Vec::new();
         for &c in Channel::ALL.iter().filter(|c| is_there(c)) {
             let values = match mapped(c) {
                 None => cells(c.name())?,
                 Some(spec) => {
-                    said.push(format!("{} from `{}`", c.name(), spec.column));
-                    let factor = spec.factor(self)?;
+                    let (factor, words) = spec.factor(self, c.name())?;
+                    said.push(words);
                     let minus = spec.minus.as_deref().map(cells).transpose()?;
                     let less = |i: usize| minus.as_ref().map_or(0.0, |m| m[i]);
                     let values = cells(&spec.column)?.into_iter().enumerate();

@@ -8,7 +8,10 @@ use schemas::toml_section::{Section, quoted};
 pub const MOST: usize = 16;
 
 /// Reads the tables `[[effect]]` of an actuator whose rotor has the inertia `inertia` [kg m2].
-pub(crate) fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
+///
+/// # Errors
+/// An effect that is not known, keys and values that are not allowed, more than [`MOST`].
+pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
     let sections = s.sections("effect")?;
     if sections.len() > MOST {
         return Err(s.bad("effect", sections.len(), format!("at most {MOST} effects")));

@@ -15,8 +15,7 @@ mod tests_physics;
 pub use equations::{
     COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, shape,
 };
-pub use file::MOST;
-pub(crate) use file::read;
+pub use file::{MOST, read};
 pub use inject::{Felt, Injection, LaneEffects};
 pub use kind::{EffectKind, Equation, ParameterKey};
 pub use state::{Dahl, DelayLine, Play, TwoMass};

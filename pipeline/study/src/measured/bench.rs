@@ -4,6 +4,7 @@ use crate::measured::own;
 use ema_tables::units::Quantity;
 use schemas::error::{Error, Result};
 use schemas::toml_section::{self, Section};
+use sim_worker::effect::{self, Effect};
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
 
@@ -245,7 +246,12 @@ pub struct Bench {
     pub rig: Rig,
     pub channels: Vec<ChannelSpec>,
     pub runs: Vec<RunSpec>,
+    /// what the rig is known to have, of an earlier study
+    pub effects: Vec<Effect>,
 }
+
+/// Relative difference up to which a gear ratio is the same one, rounded.
+const SAME: f64 = 1e-3;
 
 const NOT_BELOW: &str = "a finite number of at least 0";
 const UP: &str = "a finite number above 0";
@@ -288,19 +294,26 @@ fn known(s: &mut Section, key: &str, q: Quantity, lead: Option<f64>, default: Op
 
 /// Whether a file is a recording of telemetry rather than a bench file, by its name.
 pub fn is_recording(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e == "parquet" || e == "csv")
+    path.extension().is_some_and(|e| !e.eq_ignore_ascii_case("toml"))
 }
 
 impl Bench {
     /// A bench file, or recordings of the project's own, which are a bench by themselves. Without an actuator, a bench
     /// file speaks for itself; recordings of our own telemetry are taken for the reference actuator's.
     ///
+    /// * `channels` file whose section `[channels]` says which column of the recordings is what, where they are not
+    ///   called as ours
     /// * `healthy` whether all that is recorded is of a healthy machine, whatever a bench file says
     ///
     /// # Errors
     /// As [`Bench::read`]; refuses recordings that cannot be read or do not have the same columns, and bench files
-    /// beside others.
-    pub fn open(paths: &[PathBuf], actuator: Option<&ActuatorParameters>, healthy: bool) -> Result<Self> {
+    /// beside others or with channels from elsewhere.
+    pub fn open(
+        paths: &[PathBuf],
+        actuator: Option<&ActuatorParameters>,
+        channels: Option<&Path>,
+        healthy: bool,
+    ) -> Result<Self> {
         let mut bench = match paths {
             [] => {
                 return Err(Error::bad(
@@ -310,7 +323,14 @@ impl Bench {
                     "a bench file, or recordings",
                 ));
             }
-            [one] if !is_recording(one) => Self::read(one, actuator)?,
+            [one] if !is_recording(one) => {
+                if let Some(channels) = channels {
+                    let allowed = "recordings (.csv, .parquet); a bench file has its own [channels]";
+                    let found = format!("{} beside {}", channels.display(), one.display());
+                    return Err(Error::bad("command line", "--channels", found, allowed));
+                }
+                Self::read(one, actuator)?
+            }
             all => {
                 if let Some(other) = all.iter().find(|p| !is_recording(p)) {
                     let found = other.display().to_string();
@@ -319,7 +339,7 @@ impl Bench {
                 }
                 let reference = ActuatorParameters::reference();
                 let actuator = actuator.unwrap_or(&reference);
-                Self::from_section(own::bench(all, actuator)?, &all[0], Some(actuator))?
+                Self::from_section(own::bench(all, actuator, channels)?, &all[0], Some(actuator))?
             }
         };
         for r in &mut bench.runs {
@@ -366,11 +386,17 @@ impl Bench {
         if runs.is_empty() {
             return Err(s.bad("run", "nothing", "at least one [[run]] with file and role"));
         }
+        if s.has("effect") && actuator.is_some() {
+            let allowed = "none where --actuator is given: they stand in its file";
+            return Err(s.bad("effect", "[[effect]]", allowed));
+        }
+        let effects = effect::read(&mut s, f64::INFINITY)?;
         let mut bench = Self {
             file: path.display().to_string(),
             rig,
             channels,
             runs,
+            effects,
         };
         bench.add_q_current();
         for needed in [BenchChannel::Time, bench.rig.drive] {
@@ -552,31 +578,32 @@ fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
             value.ok_or_else(|| s.bad("offset", &v, "a finite number"))? * factor
         }
     };
-    let mut plain = |key: &'static str, q: Quantity, of: fn(&ActuatorParameters) -> f64, otherwise: f64| {
-        let given = known(s, key, q, None, None)?;
-        Ok::<f64, Error>(given.map_or_else(
-            || match actuator {
-                Some(a) => of(a),
-                None => {
-                    assumed.push((key, otherwise));
-                    otherwise
-                }
-            },
-            |k| k.value,
-        ))
+    let mut plain = |key: &'static str, q: Quantity, of: Option<f64>, otherwise: f64| {
+        let given = known(s, key, q, None, None)?.map(|k| k.value);
+        if given.is_none() {
+            match of {
+                Some(_) => from_model.push(key),
+                None => assumed.push((key, otherwise)),
+            }
+        }
+        Ok::<f64, Error>(given.or(of).unwrap_or(otherwise))
     };
-    let gear_ratio = if linear {
-        plain("gear_ratio", Quantity::None, |_| 1.0, 1.0)?
-    } else {
-        plain("gear_ratio", Quantity::None, |a| a.gear_ratio, 1.0)?
-    };
-    let pole_pairs = plain("pole_pairs", Quantity::None, |a| a.pole_pairs as f64, 1.0)?;
-    let supply_voltage = plain(
-        "supply_voltage",
-        Quantity::Voltage,
-        |a| a.supply_voltage_v,
-        f64::INFINITY,
-    )?;
+    // a lead stands for the gear
+    let gear = actuator.map(|a| if linear { 1.0 } else { a.gear_ratio });
+    let pairs = actuator.map(|a| f64::from(a.pole_pairs));
+    let gear_ratio = plain("gear_ratio", Quantity::None, gear, 1.0)?;
+    let pole_pairs = plain("pole_pairs", Quantity::None, pairs, 1.0)?;
+    let volts = actuator.map(|a| a.supply_voltage_v);
+    let supply_voltage = plain("supply_voltage", Quantity::Voltage, volts, f64::INFINITY)?;
+    // another gear or winding is another machine: no study makes one of the other
+    for (key, said, of) in [("gear_ratio", gear_ratio, gear), ("pole_pairs", pole_pairs, pairs)] {
+        if let Some(of) = of.filter(|of| !linear && (said / of - 1.0).abs() > SAME) {
+            let allowed = format!(
+                "{of} as the actuator's file says, or a study of another machine: its own file, or no --actuator"
+            );
+            return Err(s.bad(key, said, allowed));
+        }
+    }
     if pole_pairs.fract() != 0.0 || !(1.0..=100.0).contains(&pole_pairs) {
         return Err(s.bad("pole_pairs", pole_pairs, "a whole number from 1 to 100"));
     }
@@ -659,7 +686,7 @@ fn controller(c: &mut Section, lead: Option<f64>) -> Result<ControllerLaw> {
 fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) -> Result<ChannelSpec> {
     let column = t.text("column", "the name of a column")?;
     let q = channel.quantity();
-    let said = if t.has("unit") {
+    let said = if t.may_have("unit") {
         Some(t.text_or("unit", q.si())?)
     } else {
         None
@@ -691,7 +718,7 @@ fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) -> Result<Cha
     };
     let delay_s = t.number_or("delay_s", 0.0, |x| x.abs() < 1.0, "a number within 1 s")?;
     let size = factor.abs();
-    let minus = if t.has("minus") {
+    let minus = if t.may_have("minus") {
         Some(t.text("minus", "the name of a column")?)
     } else {
         None
@@ -706,7 +733,7 @@ fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) -> Result<Cha
             _ => return Err(t.bad("noise", &v, "rms in the channel's unit, or \"from repeats\"")),
         },
     };
-    let offset = if t.has("offset") {
+    let offset = if t.may_have("offset") {
         Some(t.number("offset", |x| x >= 0.0, NOT_BELOW)? * size)
     } else {
         None

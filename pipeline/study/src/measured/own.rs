@@ -1,6 +1,8 @@
 //! Recordings of the project's own telemetry as benches: which column is which channel, which piece finds and which proves.
 
-use ema_tables::Table;
+use crate::measured::bench::BenchChannel;
+use crate::measured::recording::extent;
+use ema_tables::{ChannelMap, Table};
 use schemas::error::{Error, Result};
 use schemas::toml_section::{self, Section};
 use sim_worker::catalogue;
@@ -36,7 +38,10 @@ const PHASE: &str = ", sampling = \"mean\", offset = 0.0115";
 
 /// The bench that recordings of telemetry are. Of a long one, every third piece proves what the others found; of
 /// short ones, every third.
-pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters) -> Result<Section> {
+///
+/// * `mapped` file whose section `[channels]` says which column is what, where it is not called as ours
+pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters, mapped: Option<&Path>) -> Result<Section> {
+    let mapped = mapped.map(Mapped::read).transpose()?.unwrap_or_default();
     let mut text = String::from("[rig]\nkind = \"rotary\"\ndrive = \"current\"\n");
     // how far an actuator of the same type differs (assumed)
     let fd = actuator.static_friction_n_m * actuator.dynamic_friction_ratio;
@@ -51,16 +56,17 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters) -> Result<Section
     );
     let mut all = Vec::new();
     for (i, path) in paths.iter().enumerate() {
-        let (table, duration_s, runs) = columns(path)?;
+        let (table, ends_s, runs) = columns(path, &mapped)?;
         if i == 0 {
-            text += &channels(&table)?;
+            text += &channels(&table, &mapped)?;
         }
         let whole = std::path::absolute(path).map_err(|e| Error::io(path, "cannot be found", e))?;
-        all.extend(runs.into_iter().map(|r| (whole.display().to_string(), duration_s, r)));
+        all.extend(runs.into_iter().map(|r| (whole.display().to_string(), ends_s, r)));
     }
-    let short = all.iter().filter(|r| r.1 < SHORTEST_S).count();
+    let short = all.iter().filter(|r| r.1.1 - r.1.0 < SHORTEST_S).count();
     let mut seen = 0;
-    for (file, duration_s, r) in all {
+    for (file, (start_s, end_s), r) in all {
+        let duration_s = end_s - start_s;
         let run = r.map_or(String::new(), |r| format!("where = {{ run = {r} }}\n"));
         if duration_s < SHORTEST_S {
             seen += 1;
@@ -80,8 +86,8 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters) -> Result<Section
                 (1.0, "heldout")
             };
             let (from, to) = (
-                duration_s * at / pieces,
-                (duration_s * (at + length) / pieces).min(duration_s),
+                start_s + duration_s * at / pieces,
+                start_s + (duration_s * (at + length) / pieces).min(duration_s),
             );
             text += &format!("[[run]]\nfile = {file:?}\nrole = \"{role}\"\nwindow_s = [{from:?}, {to:?}]\n{run}");
             at += length;
@@ -91,14 +97,49 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters) -> Result<Section
     toml_section::parse(&names.join(", "), &text)
 }
 
-/// Its columns, duration of a run [s], and the runs' numbers (`None` where there is one).
-fn columns(path: &Path) -> Result<(Table, f64, Vec<Option<u64>>)> {
+/// Channels of a bench whose columns are named by a file: names of the bench's, and the rest of their lines.
+#[derive(Default)]
+struct Mapped {
+    lines: Vec<(String, String)>,
+    map: ChannelMap,
+}
+
+impl Mapped {
+    fn read(path: &Path) -> Result<Self> {
+        let map = ChannelMap::read(path)?;
+        let mut section = toml_section::read(path)?.section("channels")?;
+        let mut lines = Vec::new();
+        for key in section.keys() {
+            let ours = CHANNELS.iter().find(|c| c.0 == key).map(|c| c.1.to_string());
+            let is_known = key == "time" || BenchChannel::ALL.iter().any(|c| c.name() == key);
+            if let Some(name) = ours.or_else(|| is_known.then(|| key.clone()))
+                && let Some(v) = section.raw(&key)
+            {
+                lines.push((name, v.to_string()));
+            }
+        }
+        Ok(Self { lines, map })
+    }
+
+    fn has(&self, channel: &str) -> bool {
+        self.lines.iter().any(|l| l.0 == channel)
+    }
+}
+
+/// Columns of a file, first and last time of a run [s], and the runs' numbers.
+type Columns = (Table, (f64, f64), Vec<Option<u64>>);
+
+/// Its columns, first (in whole seconds) and last time of a run [s], and the runs' numbers (`None` where there is one).
+fn columns(path: &Path, mapped: &Mapped) -> Result<Columns> {
     let t = with_q_current(Table::filled(path)?);
-    if !t.names.iter().any(|n| n == "i_q") {
-        let allowed = "a column i_q, or theta_m with i_a, i_b, i_c";
+    let is_there = |c: &str| mapped.has(c) || CHANNELS.iter().any(|o| o.1 == c && t.names.iter().any(|n| n == o.0));
+    let of_phases = ["position", "i_a", "i_b", "i_c"];
+    if !is_there("current") && !of_phases.iter().all(|c| is_there(c)) {
+        let allowed = "a column i_q, or theta_m with i_a, i_b, i_c; --channels FILE says which column is what";
         return Err(Error::bad(&t.file, "header", t.names.join(","), allowed));
     }
-    let time = t.numbers("t")?;
+    let (column, to_s) = mapped.map.time_of(&t)?;
+    let time = t.numbers(&column)?;
     let runs: Vec<Option<u64>> = match t.numbers("run") {
         Ok(r) => {
             let mut all: Vec<u64> = r.iter().map(|x| *x as u64).collect();
@@ -107,21 +148,30 @@ fn columns(path: &Path) -> Result<(Table, f64, Vec<Option<u64>>)> {
         }
         Err(_) => vec![None],
     };
-    let last = time.iter().fold(0.0, |a: f64, b| a.max(*b));
-    Ok((t, last, runs))
+    let (first, last) = extent(time.iter().map(|t| t * to_s));
+    let ends = (first.floor(), last);
+    Ok((t, ends, runs))
 }
 
 /// The lines of `[channels]` for the columns that are there. A user's angle that is the motor's through the gear is no
 /// second sensor.
 ///
 /// The noise of the reference sensors is said where their grain is seen, else it is estimated.
-fn channels(table: &Table) -> Result<String> {
+fn channels(table: &Table, mapped: &Mapped) -> Result<String> {
     let sensors = catalogue::sensors("reference")?.filter(|s| is_seen(table, s));
     let names = &table.names;
-    let mut text = String::from("time = { column = \"t\" }\n");
+    let mut text = String::new();
+    if !mapped.has("time") {
+        text += "time = { column = \"t\" }\n";
+    }
+    for (channel, line) in &mapped.lines {
+        text += &format!("{channel} = {line}\n");
+    }
     let has = |n: &str| names.iter().any(|x| x == n);
     for (column, channel, rest) in CHANNELS {
-        let duplicate = channel == "torque"
+        let duplicate = mapped.has(channel)
+            || channel == "torque"
+            || channel == "current" && mapped.has("i_a")
             || channel == "current" && has("i_a")
             || channel == "user_position" && follows(table)
             || channel.starts_with("v_") && ["v_a", "v_b", "v_c"].iter().any(|c| table.numbers(c).is_err());
@@ -143,7 +193,7 @@ fn channels(table: &Table) -> Result<String> {
             text += &format!("{channel} = {{ column = \"{column}\"{rest}{noise} }}\n");
         }
     }
-    if has("v_dc") && has("v_a") {
+    if has("v_dc") && has("v_a") && !mapped.has("v_dc") {
         text += "v_dc = { column = \"v_dc\", sampling = \"mean\" }\n";
     }
     Ok(text)

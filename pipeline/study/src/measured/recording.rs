@@ -74,6 +74,8 @@ pub struct Run {
     channels: BTreeMap<BenchChannel, Vec<f64>>,
     /// hash of the file
     pub hash: String,
+    /// of the file, from 0, rising
+    pub rows: Vec<usize>,
     /// the columns of `split` and `where`, with their values
     pub labels: Vec<(String, String)>,
     /// samples that lie in a gap of the clock; empty where there is none
@@ -170,6 +172,8 @@ fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
     let Some((_, first)) = parts.first() else {
         return Err(Error::bad(&table.file, "run", "no rows", "at least one speed"));
     };
+    let mut rows: Vec<usize> = parts.iter().flat_map(|p| p.1.rows.iter().copied()).collect();
+    rows.sort_unstable();
     let mut map = Run {
         name: format!(
             "{} ({} speeds)",
@@ -182,6 +186,7 @@ fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
         channels: BTreeMap::new(),
         spread: BTreeMap::new(),
         steady: true,
+        rows,
         ..first.clone()
     };
     for c in first.channels.keys() {
@@ -374,6 +379,7 @@ fn run(
         healthy: spec.healthy,
         channels,
         hash: table.hash.clone(),
+        rows,
         labels,
         steady: false,
         spread: BTreeMap::new(),

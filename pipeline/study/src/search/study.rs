@@ -62,7 +62,7 @@ pub struct Outcome {
 
 impl Material {
     /// A model without one of its terms, constants and amplitudes solved again.
-    fn without(&self, model: &Fit, term: usize) -> Fit {
+    pub fn without(&self, model: &Fit, term: usize) -> Fit {
         let mut terms = model.terms.clone();
         terms.remove(term);
         self.solve(&terms, model.sigma)

@@ -31,7 +31,7 @@ pub struct FoundEffect {
     pub term: String,
     /// its amplitudes and shape
     pub parameters: Vec<Identified>,
-    /// of the excess energy of its equations, when it was added
+    /// of the excess energy that its equation has on the fit runs without it, all else fitted again
     pub explained_share: f64,
     /// the best candidate beside it in the same step
     pub runner_up: Option<String>,

@@ -74,8 +74,23 @@ fn separating(a: &str, b: &str) -> &'static Experiment {
     }
 }
 
+/// What a study was asked for and what it has written.
+#[derive(Clone, Copy)]
+pub struct Around<'a> {
+    /// the command of the study, but for its folder
+    pub command: &'a str,
+    /// folder of what is written
+    pub out: Option<&'a Path>,
+    /// the actuator's file with what was found
+    pub model: Option<&'a Path>,
+    /// file of a rig that is no actuator of ours, with what was found
+    pub rig: Option<&'a Path>,
+    /// why neither was written, or why an actuator that was written cannot be diagnosed
+    pub against: Option<&'a str>,
+}
+
 /// Fills in what comes next; returns the file of a test sequence to be written.
-pub fn next(f: &mut Findings, out: Option<&Path>, model: Option<&Path>, bench: &str) -> Option<(PathBuf, String)> {
+pub fn next(f: &mut Findings, around: &Around<'_>) -> Option<(PathBuf, String)> {
     let shown = |p: &Path| p.display().to_string();
     let pair = f
         .effects
@@ -93,16 +108,12 @@ pub fn next(f: &mut Findings, out: Option<&Path>, model: Option<&Path>, bench: &
         }
         _ => None,
     };
-    let model_option = if f.model.is_empty() {
-        String::new()
-    } else {
-        format!(" --actuator {}", f.model)
-    };
-    let study = format!("ema discrepancy{model_option} --bench {bench} --out study");
+    let folder = around.out.map_or("study".into(), shown);
+    let study = |more: &str| format!("{}{more} --out {folder}", around.command);
     if let Some((e, title, why)) = experiment {
         f.next_reason = format!("{why} ({}), and study its recording along", e.why);
-        let Some(out) = out else {
-            f.next_command = Some(study);
+        let Some(out) = around.out else {
+            f.next_command = Some(study(""));
             f.next_reason += "; with --out the sequence is written";
             return None;
         };
@@ -114,38 +125,64 @@ pub fn next(f: &mut Findings, out: Option<&Path>, model: Option<&Path>, bench: &
         );
         return Some((file, text));
     }
-    if f.health == "unknown"
-        && matches!(
-            f.verdict.as_str(),
-            "named" | "named_with_remainder" | "retune" | "candidate"
-        )
-    {
-        // a fault must not become what healthy means
-        f.next_command = Some(
-            "ema diagnose RECORDING".to_string()
-                + &if f.model.is_empty() || f.model == "reference" {
-                    String::new()
-                } else {
-                    format!(" --actuator {}", f.model)
-                },
-        );
-        f.next_reason =
-            "the unit against its type as it is: nothing is written into the model, as nobody says that these \
-             runs are of a healthy machine (--healthy, or health = \"healthy\" in the bench file, where it is known)"
-                .into();
+    let settled = matches!(f.verdict.as_str(), "named" | "named_with_remainder" | "retune");
+    if !settled && f.verdict != "candidate" {
+        f.next_reason = "nothing".into();
         return None;
     }
-    match (f.verdict.as_str(), model) {
-        ("named" | "named_with_remainder" | "retune", Some(model)) => {
-            f.next_command = Some(format!("ema diagnose RECORDING --actuator {}", shown(model)));
-            f.next_reason = "simulator, simplified model, maps and diagnosis use what was found from this file".into();
+    let (command, reason) = match (f.health.as_str(), around.model, around.rig) {
+        (_, None, None) if f.verdict == "candidate" => (
+            None,
+            "nothing is written: a run with the role heldout, or another recording, is to prove what was found"
+                .to_string(),
+        ),
+        // a fault must not become what healthy means
+        ("unknown", ..) if f.model.is_empty() => (
+            Some(study(" --healthy")),
+            "no model is written, as nobody says that these runs are of a healthy machine: this writes it, where that \
+             is known (or health = \"healthy\" in the bench file)"
+                .into(),
+        ),
+        ("unknown", ..) => {
+            let of = if f.model == "reference" {
+                String::new()
+            } else {
+                format!(" --actuator {}", f.model)
+            };
+            (
+                Some(format!("ema diagnose RECORDING{of}")),
+                "the unit against its type as it is: nothing is written into the model, as nobody says that these \
+                 runs are of a healthy machine (--healthy, or health = \"healthy\" in the bench file, where it is known)"
+                    .into(),
+            )
         }
-        ("named" | "named_with_remainder" | "retune", None) => {
-            f.next_command = Some(study);
-            f.next_reason = "writes the model with what was found".into();
-        }
-        _ => f.next_reason = "nothing".into(),
-    }
+        (_, Some(model), _) => match around.against {
+            Some(why) => (
+                Some(format!("ema check {}", shown(model))),
+                format!("what was found is in this file, but no pre-flight test of it can be diagnosed yet: {why}"),
+            ),
+            None => (
+                Some(format!("ema diagnose RECORDING --actuator {}", shown(model))),
+                "simulator, simplified model, maps and diagnosis use what was found from this file".into(),
+            ),
+        },
+        (_, None, Some(rig)) => (
+            None,
+            format!(
+                "[rig] and [[effect]] of {} may stand in the bench file of the next recordings; to simulate and diagnose, \
+                 --actuator with a file of the whole actuator (controller, gear, supply) is needed",
+                shown(rig)
+            ),
+        ),
+        (_, None, None) => match (around.out, around.against) {
+            (None, _) => (Some(study("")), "writes the model with what was found".into()),
+            (_, why) => (
+                None,
+                format!("no model is written: {}", why.unwrap_or("nothing was proven")),
+            ),
+        },
+    };
+    (f.next_command, f.next_reason) = (command, reason);
     None
 }
 
@@ -153,6 +190,41 @@ pub fn next(f: &mut Findings, out: Option<&Path>, model: Option<&Path>, bench: &
 mod tests {
     use super::*;
     use schemas::sequence::TestSequence;
+
+    #[test]
+    fn a_diagnosis_is_offered_where_nothing_stands_against_it_and_no_command_repeats_the_study() {
+        let found = |model: &str| Findings {
+            model: model.into(),
+            verdict: "named".into(),
+            health: "healthy".into(),
+            ..Findings::default()
+        };
+        let (out, model) = (Path::new("study"), Path::new("study/actuator.toml"));
+        let around = Around {
+            command: "ema discrepancy --bench b.toml --healthy",
+            out: Some(out),
+            model: Some(model),
+            rig: None,
+            against: None,
+        };
+        let command = |f: &mut Findings, around: &Around<'_>| {
+            next(f, around);
+            f.next_command.clone()
+        };
+        let f = &mut found("a.toml");
+        assert!(command(f, &around).unwrap().starts_with("ema diagnose"));
+        let against = Some("the speed changes");
+        assert_eq!(
+            command(f, &Around { against, ..around }).as_deref(),
+            Some("ema check study/actuator.toml")
+        );
+        assert!(f.next_reason.contains("the speed changes"), "{}", f.next_reason);
+        let bare = Around { model: None, ..around };
+        assert_eq!(command(&mut found(""), &bare), None);
+        let unwritten = Around { out: None, ..bare };
+        let again = command(&mut found(""), &unwritten).unwrap();
+        assert_eq!(again, "ema discrepancy --bench b.toml --healthy --out study");
+    }
 
     #[test]
     fn every_experiment_is_a_sequence() {

@@ -1,8 +1,10 @@
 //! The effect enters the actuator's file: constants and `[[effect]]` tables with intervals and
 //! provenance. What a study did not touch stays as it was, comments too.
 
+use crate::measured::bench::{Bench, BenchChannel, Known};
 use crate::told::findings::{FoundEffect, Identified};
 use schemas::error::{Error, Result};
+use schemas::toml_section;
 use sim_worker::effect::{Effect, EffectKind, NORMAL_95, Note};
 use sim_worker::parameters::{ActuatorParameters, Uncertainty};
 
@@ -20,13 +22,17 @@ pub struct Replaced {
     pub value: f64,
 }
 
+fn relative_deviation(r: &Identified) -> f64 {
+    (0.5 * (r.hi - r.lo) / NORMAL_95 / r.value.abs().max(1e-300)).clamp(LEAST_DEVIATION, 10.0)
+}
+
 /// Where the constants of a study stand in the file, and what is written there.
 ///
 /// * `with_current` the drive channel is the motor's current, so that its constant is kt
 pub fn replaced(retuned: &[Identified], a: &ActuatorParameters, with_current: bool) -> Vec<Replaced> {
     let mut out = Vec::new();
     for (place, r) in retuned.iter().enumerate() {
-        let deviation = (0.5 * (r.hi - r.lo) / NORMAL_95 / r.value.abs().max(1e-300)).clamp(LEAST_DEVIATION, 10.0);
+        let deviation = relative_deviation(r);
         let (section, key, unit, value) = match r.name.as_str() {
             "inertia" => ("motor", "inertia_kg_m2", "kg m2", r.value),
             "viscous" => ("motor", "viscous_n_m_s_per_rad", "N m s/rad", r.value),
@@ -76,6 +82,73 @@ pub fn uncertainty(constants: &[Replaced], correlation: &[f64]) -> Uncertainty {
             .flat_map(|a| constants.iter().map(move |b| of(a.place, b.place)))
             .collect(),
     }
+}
+
+/// A rig that is no actuator of ours, with what was found: `[rig]` and `[[effect]]` as they may stand in a bench file.
+/// SI at the motor; the trust of what was identified is its relative standard deviation.
+///
+/// * `bench` as it was read, before anything was found
+/// * `source` provenance in words
+pub fn rig(bench: &Bench, retuned: &[Identified], effects: &[Effect], source: &str) -> String {
+    let rig = &bench.rig;
+    let mut out = format!(
+        "# What a study found of the rig of {}. SI at the motor; trust: relative, one sigma, of each constant alone.\n\
+         # [rig] and [[effect]] may stand in a bench file as they are; a controller's law is not repeated here.\n\
+         [rig]\nkind = \"{}\"\ndrive = \"{}\"\n",
+        toml_section::quoted(&bench.file),
+        if rig.linear { "linear" } else { "rotary" },
+        rig.drive.name()
+    );
+    if let Some(lead) = rig.lead {
+        out += &format!("lead_m_per_turn = {:?}\n", lead * std::f64::consts::TAU);
+    }
+    let of_drive = match rig.drive {
+        BenchChannel::Current => "N m/A",
+        BenchChannel::Voltage => "N m/V",
+        _ => "-",
+    };
+    let plain = |value: f64| Known { value, trust: None };
+    let constants = [
+        ("drive_constant", "torque_constant", rig.drive_constant, of_drive),
+        ("inertia", "inertia", rig.inertia, "kg m2"),
+        ("viscous", "viscous", rig.viscous, "N m s/rad"),
+        ("coulomb", "coulomb", rig.coulomb, "N m"),
+        ("resistance", "resistance", rig.resistance, "ohm"),
+        ("inductance", "inductance", rig.inductance, "H"),
+        ("back_emf_constant", "", rig.back_emf, "V s/rad"),
+        ("gear_ratio", "", plain(rig.gear_ratio), "-"),
+        ("pole_pairs", "", plain(rig.pole_pairs), "-"),
+        ("supply_voltage", "", plain(rig.supply_voltage), "V"),
+    ];
+    for (key, name, given, unit) in constants {
+        let assumed = rig.assumed.iter().any(|a| a.0 == key);
+        let (known, source) = match retuned.iter().find(|r| r.name == name) {
+            Some(r) => {
+                let value = r.value.max(0.0);
+                let trust = Some(relative_deviation(r));
+                (Known { value, trust }, format!("identified: {source}"))
+            }
+            // its own value is that of the drive constant
+            None if assumed && (key == "back_emf_constant" || !(given.value > 0.0 && given.value.is_finite())) => {
+                out += &format!("# {key}: neither said nor seen\n");
+                continue;
+            }
+            None if assumed => (given, "assumed: the bench does not say it".to_string()),
+            None => (given, "as the bench says".to_string()),
+        };
+        let trust = known.trust.map_or(String::new(), |t| format!(", trust = {t:?}"));
+        let (value, source) = (known.value, toml_section::quoted(&source));
+        out += &format!("{key} = {{ value = {value:?}, unit = \"{unit}\"{trust}, source = {source} }}\n");
+    }
+    let offset = retuned.iter().find(|r| r.name == "offset");
+    let offset = offset.map_or(rig.offset, |r| r.value);
+    if offset != 0.0 {
+        out += &format!("offset = {{ value = {offset:?}, unit = \"N m\" }}\n");
+    }
+    for e in effects {
+        out += &format!("\n{}", e.to_toml());
+    }
+    out
 }
 
 /// The actuator's file with constants replaced and effects appended; checked by reading it again.
@@ -146,7 +219,9 @@ pub fn written(
 }
 
 /// An effect as it is written: value, interval, source and provenance.
-pub fn effect(found: &FoundEffect, parent: &str, source: &str, notes: Vec<(String, Note)>) -> Option<Effect> {
+///
+/// * `parent` fingerprint of the actuator that it is added to, if it is one
+pub fn effect(found: &FoundEffect, parent: Option<&str>, source: &str, notes: Vec<(String, Note)>) -> Option<Effect> {
     let kind = EffectKind::from_name(&found.name)?;
     let mut values = [0.0; 3];
     let mut intervals = [(0.0, 0.0); 3];
@@ -158,7 +233,7 @@ pub fn effect(found: &FoundEffect, parent: &str, source: &str, notes: Vec<(Strin
     let mut e = Effect::new(kind, &values[..kind.keys().len()]);
     e.intervals = Some(intervals);
     e.source = format!("identified: {source}");
-    e.parent = Some(parent.to_string());
+    e.parent = parent.map(str::to_string);
     e.provenance = notes;
     e.provenance.sort_by(|a, b| a.0.cmp(&b.0));
     Some(e)

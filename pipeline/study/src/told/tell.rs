@@ -200,18 +200,19 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                 .collect();
             let step = accepted.iter().find(|s| s.taken.contains(&term.kind));
             let runner_up = step.and_then(|s| s.ranked.iter().map(|r| r.term.kind).find(|k| *k != term.kind));
-            let share = step.map_or(0.0, |s| {
-                let by = shares(&m.fit, &s.before, &s.after, None);
-                by[term.kind.equation().index()]
-                    .or(by.into_iter().flatten().next())
-                    .unwrap_or(0.0)
-            });
+            // of the last fit: what was said when it was chosen was said beside other constants
+            let (before, after) = (m.without(&o.model, t).score.energy, o.model.score.energy);
+            let own = term.kind.equation().index();
+            let by = shares(&m.fit, &before, &after, None);
+            let share = by[own]
+                .or(by.into_iter().flatten().next())
+                .unwrap_or_else(|| 1.0 - after[own] / before[own].max(1e-300));
             FoundEffect {
                 name: term.kind.name().to_string(),
                 equation: term.kind.equation().name().to_string(),
                 term: term_text(term.kind).to_string(),
                 parameters,
-                explained_share: share,
+                explained_share: share.clamp(0.0, 1.0),
                 runner_up: runner_up.map(|k| k.name().to_string()),
                 ambiguous_with: o
                     .ambiguous

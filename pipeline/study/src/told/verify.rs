@@ -180,6 +180,10 @@ pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParame
             }
         }
     }
+    if sums.is_empty() && out.left_out.is_empty() {
+        let why = format!("{}: no moving run with the role {}", bench.file, judged.name());
+        out.left_out.push(why);
+    }
     let root = |sum: f64, n: usize| (sum / n.max(1) as f64).sqrt();
     out.channels = sums
         .iter()
@@ -218,7 +222,8 @@ fn recorded(
 ) -> Result<std::result::Result<Recorded, String>> {
     let spec = group[0];
     let Some(command) = bench.channel(BenchChannel::Command) else {
-        return Ok(Err("no channel `command`".into()));
+        let why = "no channel `command` in [channels]: nothing says what the simulators are to follow";
+        return Ok(Err(why.into()));
     };
     if !spec.split.is_empty() {
         return Ok(Err("several runs in one file".into()));
