@@ -320,8 +320,9 @@ fn e2e_columns_of_other_names_are_mapped() {
     }
     // a study of the same table as the diagnosis says that it is to be run
     let odd = dir.path().join("odd.csv");
-    let half = |_: usize, x: f64| format!("{:?}", 0.5 * x);
-    std::fs::write(&odd, r.with(5, half).named(names).with(4, rpm).separated(";")).unwrap();
+    let more = |_: usize, x: f64| format!("{:?}", 1.1 * x);
+    let currents = (5..9).fold(r.named(names).with(4, rpm), |r, c| r.with(c, more));
+    std::fs::write(&odd, currents.separated(";")).unwrap();
     let d = json(&["diagnose", text(&odd), "--channels", text(&map), "--json"]);
     assert_eq!(d["outcome"], "unexplained");
     let next = d["next_command"].as_str().unwrap();

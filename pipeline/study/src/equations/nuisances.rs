@@ -147,7 +147,8 @@ pub fn equations(bench: &Bench, runs: &[&Run]) -> Vec<Equation> {
     let current = bench.rig.drive == BenchChannel::Current;
     let mut out = vec![Equation::Torque];
     let phases = bench.has_phases() && BenchChannel::VOLTAGES.iter().all(|c| has(*c));
-    if current && (has(BenchChannel::Voltage) || phases) {
+    // three currents need three voltages
+    if current && (phases || has(BenchChannel::Voltage) && !bench.has_phases()) {
         out.push(Equation::Electrical);
     }
     if has(BenchChannel::Position) && has(BenchChannel::UserPosition) {

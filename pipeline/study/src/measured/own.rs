@@ -101,6 +101,8 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters, mapped: Option<&P
 #[derive(Default)]
 struct Mapped {
     lines: Vec<(String, String)>,
+    /// what they name is not what it is called
+    columns: Vec<String>,
     map: ChannelMap,
 }
 
@@ -108,17 +110,18 @@ impl Mapped {
     fn read(path: &Path) -> Result<Self> {
         let map = ChannelMap::read(path)?;
         let mut section = toml_section::read(path)?.section("channels")?;
-        let mut lines = Vec::new();
+        let (mut lines, mut columns) = (Vec::new(), Vec::new());
         for key in section.keys() {
             let ours = CHANNELS.iter().find(|c| c.0 == key).map(|c| c.1.to_string());
             let is_known = key == "time" || BenchChannel::ALL.iter().any(|c| c.name() == key);
             if let Some(name) = ours.or_else(|| is_known.then(|| key.clone()))
                 && let Some(v) = section.raw(&key)
             {
+                columns.extend(v.get("column").and_then(|c| c.as_str()).map(str::to_string));
                 lines.push((name, v.to_string()));
             }
         }
-        Ok(Self { lines, map })
+        Ok(Self { lines, columns, map })
     }
 
     fn has(&self, channel: &str) -> bool {
@@ -170,6 +173,7 @@ fn channels(table: &Table, mapped: &Mapped) -> Result<String> {
     let has = |n: &str| names.iter().any(|x| x == n);
     for (column, channel, rest) in CHANNELS {
         let duplicate = mapped.has(channel)
+            || mapped.columns.iter().any(|c| c == column)
             || channel == "torque"
             || channel == "current" && mapped.has("i_a")
             || channel == "current" && has("i_a")
