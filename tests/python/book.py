@@ -80,6 +80,11 @@ def sources(book):
     return [(c.cell_type, c.source) for c in book.cells]
 
 
+def without(folder, text):
+    """Paths of the folder that it ran in say nothing."""
+    return text.replace(folder + "/", "").replace(folder, ".")
+
+
 def printed(cell):
     """What a cell has written to standard output, and its value."""
     out = ""
@@ -121,7 +126,7 @@ def run(path, args):
             if block.expected is None:
                 continue
             start, end = block.expected
-            told = printed(cell)
+            told = without(folder, printed(cell))
             if not pattern(text[start:end]).fullmatch(told):
                 wrong.append(f"{path.name}: after\n{block.code}expected\n{text[start:end]}found\n{told}")
                 renewed, at = renewed + text[at:start] + told, end
@@ -142,9 +147,8 @@ def run(path, args):
             for cell in book.cells:
                 cell.metadata.clear()
                 for o in cell.get("outputs", []):
-                    # paths of the folder that it ran in say nothing
                     if o.output_type == "stream":
-                        o.text = o.text.replace(folder + "/", "").replace(folder, ".")
+                        o.text = without(folder, o.text)
             book.metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
             file.parent.mkdir(exist_ok=True)
             nbformat.write(book, file)
