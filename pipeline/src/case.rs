@@ -364,7 +364,7 @@ pub fn next_command(
         "ema discrepancy --actuator {model} --bench {}{mapped} --out study",
         quoted(file)
     );
-    (Some(study), "finds what is missing from the model")
+    (Some(study), "looks for what is missing from the model")
 }
 
 /// The diagnosis for programs: the keys of `ema diagnose --json`.
@@ -403,7 +403,10 @@ pub(crate) fn grounds(case: &Case) -> Option<String> {
         let of = "this very actuator (no spread from unit to unit)";
         format!("{} simulated tests of {of}", c.runs)
     } else {
-        format!("{} simulated tests of units of spread `{}`", c.runs, c.spread)
+        format!(
+            "{} simulated tests of units that differ from each other (spread {})",
+            c.runs, c.spread
+        )
     })
 }
 

@@ -3,7 +3,6 @@
 
 mod common;
 
-use common::process::cache;
 use common::*;
 use ema_tests::stream::{EXAMPLE_RUN, Program, TestDomain};
 use schemas::feature::Feature;
@@ -94,7 +93,7 @@ fn e2e_live_replay_and_offline_give_the_same_bits() {
 fn e2e_small_program_with_saved_maps_says_the_same() {
     let (file, offline) = recording();
     let domain = TestDomain::default();
-    let maps = cache().join("maps");
+    let maps = stream_cache().join("maps");
     let mut c = Command::new(env!("CARGO_BIN_EXE_diagnoser-under-test"));
     c.env("EMA_DOMAIN", &domain.name)
         .args(["--json", "--exit-after", "1", "--maps", maps.to_str().unwrap()]);
@@ -156,7 +155,7 @@ fn bridged(listen: &str, prefix: &[&str]) {
         let mut c = Command::new(&all[0]);
         c.args(&all[1..])
             .env("EMA_DOMAIN", &far.name)
-            .env("EMA_CACHE_DIR", cache());
+            .env("EMA_CACHE_DIR", stream_cache());
         Program::start(c)
     };
     let mut receiver = away(&["bridge", "receive", "--listen", listen]);

@@ -2,7 +2,6 @@
 
 mod common;
 
-use common::process::cache;
 use common::*;
 use ema_tests::stream::Program;
 use ema_tests::stream::TestDomain;
@@ -359,7 +358,7 @@ fn e2e_soak_of_a_few_kills() {
         let soak = ema_tests::soak::Soak {
             ema: Path::new(env!("CARGO_BIN_EXE_ema-under-test")),
             listener: Path::new(env!("CARGO_BIN_EXE_soak")),
-            cache: &cache(),
+            cache: &stream_cache(),
             log: &log,
             file,
             offline,
@@ -512,7 +511,7 @@ fn e2e_making_maps_holds_nobody_up() {
     let domain = TestDomain::default();
     let dir = tempfile::tempdir().unwrap();
     // the maps of the honest run, and no others
-    copy(&cache().join("maps"), &dir.path().join("maps"));
+    copy(&stream_cache().join("maps"), &dir.path().join("maps"));
     let started = |args: &[&str]| {
         let mut c = ema(&domain, &[&["live", "--json"], args].concat());
         c.env("EMA_CACHE_DIR", dir.path());

@@ -4,7 +4,7 @@ use crate::case::{Case, grounds, three};
 use crate::digits;
 use crate::report::{Lead, Point, Tone};
 use diagnoser::diagnosis::{Area, Outcome};
-use schemas::feature::Feature;
+use schemas::feature::{Feature, Role};
 
 /// What the conclusion has to know beside the case.
 pub(crate) struct Around {
@@ -48,6 +48,13 @@ impl Told {
     }
 }
 
+/// A reason as a sentence of its own.
+fn sentence(reason: &str) -> String {
+    let mut letters = reason.trim_end_matches('.').chars();
+    let first = letters.next().map(|c| c.to_uppercase().to_string());
+    format!("{}{}.", first.unwrap_or_default(), letters.as_str())
+}
+
 fn point(label: &str, text: String) -> Point {
     Point {
         label: label.into(),
@@ -84,7 +91,7 @@ pub(crate) fn of_case(case: &Case, around: &Around) -> Lead {
     let mut lead = match &case.diagnosis.outcome {
         Outcome::Located(a) => located(case, a, around),
         Outcome::OutOfRange { reason } => out_of_range(reason, around),
-        Outcome::Unexplained { contradicting, reason } => unexplained(contradicting, reason, around),
+        Outcome::Unexplained { contradicting, reason } => unexplained(case, contradicting, reason, around),
         Outcome::Incomplete { reason, area } => incomplete(case, reason, area.as_ref(), around),
     };
     lead.terms = terms(case, around.unit.as_ref());
@@ -234,13 +241,15 @@ fn keep(around: &Around) -> Point {
 fn follow(around: &Around) -> Point {
     let (text, command) = match &around.unit {
         Some(u) => (
-            "Test again: a second recording must give the same pair. Keep both in the unit's history; over several tests ema \
-             prognosis tells how much life is left.",
+            "Test again: the intervals of a second recording must overlap with these. Whether the actuator may stay in service is \
+             for the limits of its maintenance to say; ema knows none. Keep both tests in the unit's history; over several of \
+             them ema prognosis tells how much life is left.",
             format!("ema unit update {} {}", u.file, around.recording),
         ),
         None => (
-            "Test again: a second recording must give the same pair. Then follow it: from the diagnoses of five tests or more \
-             (a log of ema live, or a table) a prognosis tells the life that is left before a limit that you set:",
+            "Test again: the intervals of a second recording must overlap with these. Whether the actuator may stay in service is \
+             for the limits of its maintenance to say; ema knows none. From the diagnoses of five tests or more (a log of ema \
+             live, or a table) a prognosis tells the life that is left before a limit that you set:",
             "ema prognosis diagnoses.jsonl --threshold fsj=4 --threshold zeta=0.4".into(),
         ),
     };
@@ -273,7 +282,7 @@ fn out_of_range(reason: &str, around: &Around) -> Lead {
         kind: "Out of range".into(),
         finding: finding.into(),
         points: vec![
-            point("Found", format!("{}.", reason.trim_end_matches('.'))),
+            point("Found", sentence(reason)),
             point("What it means", means.into()),
             point(
                 "How sure",
@@ -292,14 +301,20 @@ fn out_of_range(reason: &str, around: &Around) -> Lead {
     }
 }
 
-fn unexplained(contradicting: &[Feature], reason: &str, around: &Around) -> Lead {
-    let mut found = format!("{}.", reason.trim_end_matches('.'));
+fn unexplained(case: &Case, contradicting: &[Feature], reason: &str, around: &Around) -> Lead {
+    let mut found = sentence(reason);
     if !contradicting.is_empty() {
-        let names: Vec<String> = contradicting
-            .iter()
-            .map(|f| format!("{} is {}", f.name(), f.title()))
-            .collect();
-        found += &format!(" ({}.)", names.join("; "));
+        let names = contradicting.iter().map(|f| format!("{} is {}", f.name(), f.title()));
+        found += &format!(" Here {}.", names.collect::<Vec<_>>().join("; "));
+        let maps = case.diagnoser.maps.maps.iter().map(|m| m.feature);
+        let others = maps.filter(|f| f.role() == Role::Locates && !contradicting.contains(f));
+        let others: Vec<&str> = others.map(Feature::name).collect();
+        if reason.contains("the others") && !others.is_empty() {
+            found += &format!(
+                " The others are {}; the figure shows P1, P2 and P3 only.",
+                others.join(", ")
+            );
+        }
     }
     let (command, why) = match &around.next {
         Some((command, why)) => (Some(command.clone()), format!(" The next command {why}:")),
@@ -313,8 +328,8 @@ fn unexplained(contradicting: &[Feature], reason: &str, around: &Around) -> Lead
             point("Found", found),
             point(
                 "What it means",
-                "Something else is at work: another defect, a unit that differs from the model, or a sensor. No fault is \
-                 located, and none is excluded."
+                "Something else is at work: another defect, a unit that differs from the model, a sensor, or a disturbance of \
+                 the recording. No fault is located, and none is excluded."
                     .into(),
             ),
             point(

@@ -81,8 +81,8 @@ fn of_cases(r: &DemoResult) -> (String, String) {
         format!("In {inside} of the paper\u{2019}s {n} cases the true pair lies inside both intervals.")
     };
     let found = format!(
-        "Two faults at once from one test of 3 s with sensor noise: errors of at most {:.2} % of FSJ and {:.2} % of zeta (the paper: \
-         {:.1} and {:.1} %, without noise).",
+        "Two faults at once from one test of 3 s with sensor noise: in the one recording of each case errors of at most {:.2} % of FSJ \
+         and {:.2} % of zeta (the paper: {:.1} and {:.1} %, without noise).",
         worst.0,
         worst.1,
         r.table.iter().fold(0.0f64, |w, c| w.max(c.paper.1)),
@@ -97,7 +97,7 @@ fn how_sure(r: &DemoResult) -> String {
     let (lo, hi) = shares.fold((100.0f64, 0.0f64), |(l, h), x| (l.min(x), h.max(x)));
     format!(
         "Over {} seeds of sensor noise each, the intervals held the true pair in {lo:.0} to {hi:.0} % of tests; {:.0} % are promised. Test and \
-         maps come from the same simulator: this shows that the inversion is exact and robust against noise, not that the model \
+         maps come from the same simulator: this shows that the inversion is accurate and robust against noise, not that the model \
          is right. All values of actuator and sensors are assumed.",
         r.seeds,
         100.0 * r.grid.diagnoser.coverage()
@@ -161,7 +161,7 @@ fn around(path: &Path) -> Around {
                 "ema discrepancy --actuator {} --bench {recording} --out study",
                 crate::discrepancy::REFERENCE
             ),
-            "finds what is missing from the model".into(),
+            "looks for what is missing from the model".into(),
         )),
         recording,
         unit: None,

@@ -17,8 +17,13 @@ pub const LIMIT: Duration = Duration::from_secs(60);
 
 pub fn ema(domain: &TestDomain, args: &[&str]) -> Command {
     let mut c = process::ema(args);
-    c.env("EMA_DOMAIN", &domain.name);
+    c.env("EMA_DOMAIN", &domain.name).env("EMA_CACHE_DIR", stream_cache());
     c
+}
+
+/// The cache of maps of tests of streams, of one grid: among several that serve, the latest is taken.
+pub fn stream_cache() -> PathBuf {
+    process::cache().join("streams")
 }
 
 pub fn ok(domain: &TestDomain, args: &[&str]) -> String {
