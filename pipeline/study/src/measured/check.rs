@@ -7,12 +7,16 @@ use crate::measured::recording::{Run, extent};
 use schemas::error::{Error, Result};
 
 /// Factors that wrong units make, and what they are.
-const FACTORS: [(f64, &str); 9] = [
+const FACTORS: [(f64, &str); 10] = [
     (1000.0, "a factor of 1000: milli or kilo"),
     (1e6, "a factor of 1e6: micro, or a time in ms"),
     (
         std::f64::consts::TAU,
         "a factor of 2 pi: turns for rad, or Hz for rad/s",
+    ),
+    (
+        6.0,
+        "a factor of 6: deg/s for rpm, or degrees and rpm said of rad and rad/s",
     ),
     (60.0, "a factor of 60: per minute for per second"),
     (60.0 / std::f64::consts::TAU, "a factor of 60/(2 pi): rpm for rad/s"),
@@ -22,6 +26,9 @@ const FACTORS: [(f64, &str); 9] = [
     (3600.0, "a factor of 3600: hours for seconds"),
 ];
 
+/// A ratio is a factor's where it is within this factor of it: parameters are not known better (assumed).
+const NEAR: f64 = 1.43;
+
 /// Rows that two windows which meet at a time have in common: the one at that time.
 const AT_THE_BORDER: usize = 1;
 
@@ -30,11 +37,14 @@ const AT_THE_BORDER: usize = 1;
 /// * `gear` ratio of the gear
 pub fn cause(ratio: f64, gear: f64) -> String {
     let size = ratio.abs().max(1e-300);
-    let near = |f: f64| [size / f, size * f].iter().any(|x| (0.7..1.43).contains(x));
+    // how far from it, as a factor, either way
+    let away = |f: f64| (size.ln().abs() - f.ln()).abs();
+    let near = |f: f64| away(f) < NEAR.ln();
     if gear > 1.5 && near(gear) {
         return format!("a factor of {gear:.4}: the gear ratio (motor side for user side)");
     }
-    match FACTORS.iter().find(|(f, _)| near(*f)) {
+    let nearest = FACTORS.iter().min_by(|a, b| away(a.0).total_cmp(&away(b.0)));
+    match nearest.filter(|(f, _)| near(*f)) {
         Some((_, text)) => (*text).to_string(),
         None => "unit or scale".to_string(),
     }
@@ -324,4 +334,26 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
         return Ok(Some(Error::bad(&run.name, place, found, "0.25 to 4 times")));
     }
     Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prop_the_nearest_factor_is_the_likely_cause() {
+        for (ratio, words) in [
+            (6.0, "factor of 6:"),
+            (1.0 / 6.0, "factor of 6:"),
+            (6.28, "2 pi"),
+            (9.55, "60/(2 pi)"),
+            (57.0, "57.3"),
+            (60.0, "per minute"),
+            (-1100.0, "1000"),
+            (500.0, "gear ratio"),
+            (20.0, "unit or scale"),
+        ] {
+            assert!(cause(ratio, 500.0).contains(words), "{ratio}: {}", cause(ratio, 500.0));
+        }
+    }
 }
