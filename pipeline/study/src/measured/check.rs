@@ -345,7 +345,7 @@ mod tests {
         for (ratio, words) in [
             (6.0, "factor of 6:"),
             (1.0 / 6.0, "factor of 6:"),
-            (6.28, "2 pi"),
+            (6.25, "2 pi"),
             (9.55, "60/(2 pi)"),
             (57.0, "57.3"),
             (60.0, "per minute"),
