@@ -116,6 +116,10 @@ def run(path, args):
         if args.examples:
             for file in Path(args.examples).glob("*.py"):
                 shutil.copy(file, folder)
+        # a command that fails is not passed over, in the middle of a block neither
+        strict = Path(folder, ".strict")
+        strict.write_text("set -e\n")
+        os.environ["BASH_ENV"] = str(strict)
         client = nbclient.NotebookClient(book, timeout=SECONDS, record_timing=False, resources={"metadata": {"path": folder}})
         try:
             client.execute()

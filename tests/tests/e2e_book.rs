@@ -96,4 +96,77 @@ fn a_changed_number_is_seen() {
     ] {
         assert_eq!(passes(fails), Some(1), "{fails}");
     }
+    let fails = "```bash\nfalse\necho FSJ\n```\n\n```text\nFSJ\n```\n";
+    for (text, code) in [(fails.replace("false\n", ""), 0), (fails.into(), 1)] {
+        std::fs::write(&file, &text).unwrap();
+        let o = runner("").unwrap().arg(&file).output().unwrap();
+        assert_eq!(
+            o.status.code(),
+            Some(code),
+            "{text}{}",
+            String::from_utf8_lossy(&o.stdout)
+        );
+    }
+}
+
+/// What `site_links.py` says of a site; whether all its links lead somewhere.
+fn links(site: &Path) -> Option<(bool, String)> {
+    let python = std::env::var("EMA_PYTHON").unwrap_or_else(|_| "python3".into());
+    let program = root().join("tests/python/site_links.py");
+    let Ok(o) = Command::new(&python).arg(program).arg(site).output() else {
+        println!("skipped: no {python} (EMA_PYTHON names the interpreter)");
+        return None;
+    };
+    let said = format!(
+        "{}{}",
+        String::from_utf8_lossy(&o.stdout),
+        String::from_utf8_lossy(&o.stderr)
+    );
+    assert!(said.contains("lead nowhere"), "{said}");
+    Some((o.status.success(), said))
+}
+
+#[test]
+fn a_link_that_leads_nowhere_is_seen() {
+    let dir = tempfile::tempdir().unwrap();
+    let page = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+    page(
+        "a.html",
+        "<h1 id=\"here\"><a href=\"#here\"></a><a href=\"b.html#there\"></a>",
+    );
+    for (other, leads) in [
+        ("<p id=\"there\">", true),
+        ("<p id=\"elsewhere\">", false),
+        ("<p id=\"there\"><a href=\"c.html\"></a>", false),
+        ("<p id=\"there\"><a href=\"..\"></a>", false),
+    ] {
+        page("b.html", other);
+        let Some((found, said)) = links(dir.path()) else { return };
+        assert_eq!(found, leads, "{other}: {said}");
+    }
+}
+
+#[test]
+fn the_site_is_built_without_a_warning_and_its_links_lead_somewhere() {
+    let mdbook = std::env::var("EMA_MDBOOK").unwrap_or_else(|_| "mdbook".into());
+    let site = tempfile::tempdir().unwrap();
+    let mut c = Command::new(&mdbook);
+    c.args(["build", "--dest-dir"])
+        .arg(site.path())
+        .arg(root().join("pipeline/book"));
+    let Ok(o) = c.output() else {
+        println!("skipped: no {mdbook} (cargo install mdbook; EMA_MDBOOK names the program)");
+        return;
+    };
+    let said = format!(
+        "{}{}",
+        String::from_utf8_lossy(&o.stdout),
+        String::from_utf8_lossy(&o.stderr)
+    );
+    assert!(o.status.success(), "{said}");
+    assert!(!said.contains("WARN") && !said.contains("ERROR"), "{said}");
+    let Some((leads, said)) = links(site.path()) else {
+        return;
+    };
+    assert!(leads, "{said}");
 }
