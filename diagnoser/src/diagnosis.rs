@@ -386,13 +386,17 @@ impl Diagnoser {
             *v = features.get(*f).unwrap_or(f64::NAN);
         }
         let known = values.iter().filter(|v| v.is_finite()).count();
-        let whole = known == joint.len() && missing.is_empty();
+        // a test may lack what says a cause: then it is as unknown as without
+        let unsaid = |(f, v): (&Feature, &f64)| Feature::CAUSES.contains(f) && v.is_nan();
+        let unsaid = joint.iter().zip(&values).filter(|x| unsaid(*x)).count();
+        let whole = known + unsaid == joint.len() && missing.is_empty();
         if !whole || known < 2 {
             let mut lacking: Vec<String> = missing.to_vec();
             let maps = self.shown_maps().map(|m| m.feature);
             let (mut absent, mut odd) = (Vec::new(), Vec::new());
             for f in maps {
                 match features.get(f) {
+                    None if Feature::CAUSES.contains(&f) => {}
                     None => absent.push(f.name()),
                     Some(v) if !v.is_finite() => odd.push(format!("{} is {v}", f.name())),
                     _ => {}
@@ -409,9 +413,10 @@ impl Diagnoser {
             let area = (known >= 2).then(|| self.area(&values, misfit)).flatten();
             return Outcome::Incomplete { reason, area };
         }
-        let best = self.estimator.best(&values, self.gate);
+        let gate = if unsaid == 0 { self.gate } else { self.gate_of(&values) };
+        let best = self.estimator.best(&values, gate);
         *misfit = best.as_ref().map(|b| b.misfit);
-        if let Some(best) = best.filter(|b| b.misfit <= self.gate) {
+        if let Some(best) = best.filter(|b| b.misfit <= gate) {
             if let Some(outcome) = self.overruled(features, &best) {
                 return outcome;
             }

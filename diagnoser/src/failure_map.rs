@@ -18,6 +18,9 @@ const BREAK_LIMIT: f64 = 0.03;
 /// Range of a map, over what sensors and one sample make of one value, up to which it is flat (assumed).
 const FLAT: f64 = 3.0;
 
+/// Half-width of the relative error of a measured supply voltage (assumed).
+const SUPPLY_ACCURACY: f64 = 1e-3;
+
 /// Leave-one-out doubles the spacing. What is left of its error at the grid's own spacing is
 /// judged by doubling once more: the error of a smooth feature falls to a quarter (second order)
 /// or less, that of a feature in steps not at all. No more than a quarter is believed.
@@ -225,6 +228,22 @@ impl FailureMap {
             slope: Vec::new(),
             raw,
         };
+        map.slope = map.slopes_across();
+        Some(map)
+    }
+
+    /// The surface of what says a cause: flat, or following the faults where they load the supply.
+    pub fn of_cause(feature: Feature, fsj: &[f64], zeta: &[f64], raw: Vec<f64>, noise: f64) -> Option<Self> {
+        let (rows, columns) = (zeta.len(), fsj.len());
+        let mut map = Self::of_witness(feature, fsj, zeta, raw, noise)?;
+        map.direction = feature.direction();
+        let value = monotone_surface(&map.value, rows, columns, map.direction);
+        map.residual = map.value.iter().zip(&value).map(|(a, b)| (a - b).abs()).collect();
+        map.error.iter_mut().zip(&map.residual).for_each(|(e, r)| *e = e.hypot(*r));
+        let mean = value.iter().sum::<f64>() / value.len() as f64;
+        map.budget.noise = noise.max(of_uniform(SUPPLY_ACCURACY * mean.abs()));
+        map.budget.projection = root_mean_square(map.residual.iter().copied());
+        map.value = value;
         map.slope = map.slopes_across();
         Some(map)
     }

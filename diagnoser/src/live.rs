@@ -360,7 +360,9 @@ impl Live {
         if let Some(c) = needed.iter().find(|c| !run.channels.contains(*c)) {
             return Err(format!("channel `{}` is missing", c.name()));
         }
-        track.interpret(plan, needed);
+        let more = plan.wanted().iter().filter(|c| run.channels.contains(*c));
+        let taken = more.fold(needed, ChannelSet::with);
+        track.interpret(plan, taken);
         Ok(())
     }
 

@@ -48,8 +48,8 @@ fn lerp(span: Span, t: f64) -> f64 {
 }
 
 fn dot(a: &Row, b: &Row) -> f64 {
-    const { assert!(MOST == 8, "four pairs, and a bit of `live` for each") };
-    let p: [f64; 4] = std::array::from_fn(|k| a[k] * b[k] + a[k + 4] * b[k + 4]);
+    const { assert!(MOST == 12, "four sums of three, and a bit of `live` for each") };
+    let p: [f64; 4] = std::array::from_fn(|k| a[k] * b[k] + a[k + 4] * b[k + 4] + a[k + 8] * b[k + 8]);
     (p[0] + p[1]) + (p[2] + p[3])
 }
 

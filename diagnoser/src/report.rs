@@ -16,7 +16,11 @@ use std::sync::Arc;
 pub fn to_json(d: &Diagnosis) -> Value {
     let interval = |lo: Option<f64>, hi: Option<f64>, e: Option<f64>| json!({"lo": lo, "hi": hi, "estimate": e});
     let area = d.outcome.area();
-    let features = Feature::TOLD.map(|f| (f.key().to_string(), json!(d.features.get(f))));
+    let told = Feature::TOLD.into_iter().map(|f| (f, json!(d.features.get(f))));
+    // those of certain sequences stand where there is one
+    let more = Feature::FINER.into_iter().chain(Feature::CAUSES);
+    let more = more.filter_map(|f| Some((f, json!(d.features.get(f)?))));
+    let features = told.chain(more).map(|(f, v)| (f.key().to_string(), v));
     json!({
         "outcome": d.outcome.name(),
         "fsj": interval(area.map(|a| a.fsj.lo), area.map(|a| a.fsj.hi), area.map(|a| a.centroid.0)),

@@ -12,7 +12,7 @@ use sim_worker::spread::{Cause, Spread};
 use std::collections::BTreeMap;
 
 /// Most features that are inverted together.
-pub const MOST: usize = 8;
+pub const MOST: usize = 12;
 
 /// One number for each feature that is inverted.
 pub type Row = [f64; MOST];

@@ -14,7 +14,7 @@ use schemas::error::Error;
 use schemas::fault::FaultState;
 use schemas::feature::RawFeatures;
 use schemas::sequence::TestSequence;
-use sim_worker::extractor::FeatureExtractor;
+use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::progress::Progress;
 use sim_worker::sensor::SensorModel;
@@ -136,7 +136,7 @@ pub fn measure(setup: &TestSetup, spread: &Spread, units: &[Unit], title: &str) 
 /// Refuses a setup that [`TestSetup::experiment`] refuses.
 pub fn simulate_features(setup: &TestSetup, lanes: Vec<(Lane, u64)>, title: &str) -> Result<Option<Vec<RawFeatures>>> {
     let plan = Arc::new(setup.feature_plan());
-    let experiment = setup.experiment(plan.channels())?;
+    let experiment = setup.experiment(FeaturePlan::wanted_of(&setup.sequence, setup.equivalent_current))?;
     let runs: Vec<Run> = lanes
         .into_iter()
         .zip(0..)

@@ -464,13 +464,15 @@ pub fn to_text(case: &Case) -> String {
         line(format!("reason    {}", d.outcome.reason()));
     }
     let band = d.outcome.area().map_or(case.diagnoser.usual_band(), |a| a.band);
-    for f in Feature::ALL {
+    let shown: Vec<Feature> = Feature::located_by().filter(|f| d.features.get(*f).is_some()).collect();
+    let width = shown.iter().map(|f| f.name().len()).fold(11, usize::max);
+    for f in shown {
         if let (Some(v), Some(m)) = (d.features.get(f), case.diagnoser.maps.map(f)) {
             let (lo, hi) = m.range();
             let (f0, z0) = d.outcome.area().map_or((m.fsj[0], m.zeta[0]), |a| a.centroid);
             let h = band * case.diagnoser.uncertainty(f, f0, z0).unwrap_or(f64::NAN);
             line(format!(
-                "{:11} {:11} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}",
+                "{:width$} {:11} {:5} +- {h:.1e}   map {lo:.3e} .. {hi:.3e}",
                 f.name(),
                 digits::scientific(v, h),
                 f.unit()

@@ -223,6 +223,10 @@ pub fn of_grid(
             witnesses.extend(FailureMap::of_witness(feature, fsj, zeta, raw, noise));
             continue;
         }
+        if Feature::CAUSES.contains(&feature) {
+            maps.extend(FailureMap::of_cause(feature, fsj, zeta, raw, noise));
+            continue;
+        }
         let built = declared(file, feature, fsj, zeta, &raw, noise, sample);
         if Feature::OF_UNITS.contains(&feature) {
             // beside the others, where it serves
@@ -233,13 +237,13 @@ pub fn of_grid(
             Ok(m) => maps.push(m),
             Err(Error::Bad {
                 place, found, allowed, ..
-            }) if lenient => {
+            }) if lenient || Feature::FINER.contains(&feature) => {
                 left_out.push(format!("{}: {place}: {found}; allowed: {allowed}", feature.name()));
             }
             Err(e) => return Err(e.into()),
         }
     }
-    if maps.iter().all(|m| Feature::OF_UNITS.contains(&m.feature)) {
+    if !maps.iter().any(|m| Feature::ALL.contains(&m.feature)) {
         return Err(Error::bad(
             file,
             "features",

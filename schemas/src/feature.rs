@@ -9,6 +9,7 @@ macro_rules! ending {
     ("rad/s") => { "_rad_per_s" };
     ("rad") => { "_rad" };
     ("A") => { "_a" };
+    ("V") => { "_v" };
     ("s") => { "_s" };
     ("-") => { "" };
 }
@@ -50,6 +51,11 @@ raw_features! {
     EvenCurrent "even_current" "A" "root mean square over the places of the sine of the torque-giving current's part that does not turn round with the motion, its straight line over the place taken off",
     BiasCurrent "bias_current" "A" "mean of that part",
     KineticCurrent "kinetic_current" "A" "mean over the places of the sine of the torque-giving current's part that turns round with the motion",
+    SlowBreakAway "slow_break_away" "A" "greatest torque-giving current as the motor leaves the turning points of the slow cosine, mean of both directions",
+    SlowKinetic "slow_kinetic" "A" "torque-giving current after it has left them, mean of both directions",
+    SlowLag "slow_lag" "s" "from the turning points of the slow cosine's command until the motor leaves its own, mean of both directions",
+    LegCurrent "leg_current" "A" "half the difference of the mean torque-giving currents of the lines there and back",
+    Supply "supply" "V" "mean supply voltage in the regime window",
 }
 
 impl Raw {
@@ -114,6 +120,11 @@ pub enum Role {
     Unit,
     /// Shown beside the others; it has no map.
     Shown,
+    /// Failure maps locate faults by it where the sequence has what it is taken from (`preflight2`). It stands in files and
+    /// reports, not in messages.
+    Finer,
+    /// No fault changes it, but a cause that units differ by: with it that cause is known in the test. A test may lack it.
+    Cause,
 }
 
 macro_rules! features {
@@ -174,6 +185,16 @@ features! {
         "P3 before it is divided by the nominal one",
     Kinetic "kinetic_current" "A" Unit (1.0, 1.0) Same(KineticCurrent) "current that turns round with the motion (sine)"
         "Mean of the torque-giving current's part that turns round with the motion, over the places of the sine: what dynamic friction takes. Unlike P2 it is straight at the healthy point (not in the paper)",
+    SlowBreakAway "slow_break_away" "A" Finer (1.0, 1.0) Same(SlowBreakAway) "current at break-away (slow cosine)"
+        "Greatest torque-giving current as the motor leaves the turning points of the slow cosine: what static friction takes (not in the paper)",
+    SlowKinetic "slow_kinetic" "A" Finer (1.0, 1.0) Same(SlowKinetic) "current after break-away (slow cosine)"
+        "Torque-giving current after that: what dynamic friction takes at hardly any speed (not in the paper)",
+    SlowLag "slow_lag" "s" Finer (1.0, 1.0) Same(SlowLag) "lag of break-away (slow cosine)"
+        "Time from the turning points of the slow cosine's command until the motor leaves its own: what the controller takes to come to that current (not in the paper)",
+    LegCurrent "leg_current" "A" Finer (1.0, 1.0) Same(LegCurrent) "current at low speed (lines)"
+        "Torque-giving current at a low steady speed: what dynamic and viscous friction take together (not in the paper)",
+    Supply "supply" "V" Cause (-1.0, -1.0) Same(Supply) "supply voltage (step)"
+        "Mean supply voltage in P1's window (not in the paper)",
 }
 
 impl Feature {
@@ -186,12 +207,23 @@ impl Feature {
 
     /// Those that locate faults only of a unit that is known.
     pub const OF_UNITS: [Feature; number(Role::Unit)] = of_role(Role::Unit);
-    /// Those of messages, logs and JSON, in the order of the table: all but those of units.
-    pub const TOLD: [Feature; Self::COUNT - number(Role::Unit)] = told();
+    /// Those that locate faults where the sequence has what they are taken from.
+    pub const FINER: [Feature; number(Role::Finer)] = of_role(Role::Finer);
+    /// Those that say by how much a cause deviates in the test.
+    pub const CAUSES: [Feature; number(Role::Cause)] = of_role(Role::Cause);
+    /// Those of messages and logs, in the order of the table: all but those of units and of certain sequences.
+    pub const TOLD: [Feature; Self::COUNT - number(Role::Unit) - number(Role::Finer) - number(Role::Cause)] = told();
 
     /// Those that have maps.
     pub fn every() -> impl Iterator<Item = Feature> {
-        Self::ALL.into_iter().chain(Self::WITNESSES).chain(Self::OF_UNITS)
+        let of_units = Self::WITNESSES.into_iter().chain(Self::OF_UNITS);
+        let others = of_units.chain(Self::FINER).chain(Self::CAUSES);
+        Self::ALL.into_iter().chain(others)
+    }
+
+    /// Those that diagnoses stand on, whatever the sequence; units' left out.
+    pub fn located_by() -> impl Iterator<Item = Feature> {
+        Self::ALL.into_iter().chain(Self::FINER).chain(Self::CAUSES)
     }
 
     /// Those that take the nominal run: raw features give all others.
@@ -265,11 +297,11 @@ const fn number(role: Role) -> usize {
     n
 }
 
-/// The features of all roles but units', in the order of the table.
+/// The features of all roles but units' and those of certain sequences, in the order of the table.
 const fn told<const N: usize>() -> [Feature; N] {
     let (mut found, mut n, mut k) = ([Feature::TABLE[0]; N], 0, 0);
     while k < Feature::COUNT {
-        if !matches!(Feature::TABLE[k].role(), Role::Unit) {
+        if !matches!(Feature::TABLE[k].role(), Role::Unit | Role::Finer | Role::Cause) {
             found[n] = Feature::TABLE[k];
             n += 1;
         }

@@ -75,6 +75,10 @@ commands! {
     Chirp "chirp" { amplitude_rad Any "A [rad]", from_hz AtLeastZero "f0 [Hz]", to_hz AboveZero "f1 [Hz]" }
     /// `sum over n = 1..5 of A/n sin(2 pi f n t + n^2)` [rad]
     Multisine "multisine" { amplitude_rad Any "A, of the fundamental [rad]", frequency_hz AboveZero "f, of the fundamental [Hz]" }
+    /// `amplitude cos(2 pi f t)` [rad]: where it is small and slow, the motor comes to rest at every turning point
+    Cosine "cosine" { amplitude_rad Any "amplitude of the user position [rad]", frequency_hz AboveZero "f [Hz]" }
+    /// `from + slope t` [rad]
+    Line "line" { from_rad Any "user position at the segment's start [rad]", slope_rad_per_s Any "slope [rad/s]" }
 }
 
 /// A command and how long it lasts.
@@ -184,7 +188,9 @@ mod tests {
             [[segment]]\ncommand = \"sine\"\namplitude_rad = 1e-3\nfrequency_hz = 20.0\nduration_s = 0.1\n\
             [[segment]]\ncommand = \"step\"\nheight_rad = 0.3333333333333333\nduration_s = 0.7\n\
             [[segment]]\ncommand = \"chirp\"\namplitude_rad = 0.1\nfrom_hz = 0\nto_hz = 1e-7\nduration_s = 2\n\
-            [[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = 0.3\nduration_s = 1e-3\n";
+            [[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = 0.3\nduration_s = 1e-3\n\
+            [[segment]]\ncommand = \"cosine\"\namplitude_rad = 1e-4\nfrequency_hz = 5\nduration_s = 0.75\n\
+            [[segment]]\ncommand = \"line\"\nfrom_rad = 0.03\nslope_rad_per_s = -0.2\nduration_s = 0.15\n";
         let s = TestSequence::from_section(parse("a.toml", text).unwrap()).unwrap();
         let names: Vec<&str> = s.segments.iter().map(|s| s.command.name()).collect();
         assert_eq!(names, Command::NAMES);

@@ -43,6 +43,10 @@ impl<'a> CommandTrack<'a> {
             let t = |j: usize| (k + j as u64) as f64 * self.dt - segment.start_s;
             match segment.command {
                 Command::Ramp { slope_rad_per_s: a } => part.iter_mut().enumerate().for_each(|(j, o)| *o = a * t(j)),
+                Command::Line {
+                    from_rad: a,
+                    slope_rad_per_s: b,
+                } => part.iter_mut().enumerate().for_each(|(j, o)| *o = a + b * t(j)),
                 Command::Hold { value_rad: a } | Command::Step { height_rad: a } => part.fill(a),
                 Command::Sine {
                     amplitude_rad: a,
@@ -50,6 +54,14 @@ impl<'a> CommandTrack<'a> {
                 } => {
                     part.iter_mut().enumerate().for_each(|(j, o)| *o = TAU * f * t(j));
                     lanes::sines(self.set, a, part);
+                }
+                Command::Cosine {
+                    amplitude_rad: a,
+                    frequency_hz: f,
+                } => {
+                    part.iter_mut()
+                        .enumerate()
+                        .for_each(|(j, o)| *o = a * sin_cos(TAU * f * t(j)).1);
                 }
                 Command::Chirp {
                     amplitude_rad: a,

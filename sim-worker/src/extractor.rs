@@ -4,12 +4,13 @@
 use crate::monitor::MonitorTrack;
 use crate::onset::{Onset, OnsetPlan};
 use crate::parameters::ActuatorParameters;
+use crate::reversal::{ReversalPlan, ReversalTrack};
 use crate::suspect::{Jumps, Outlier, PhaseSum};
-use crate::witness::{SineShape, SineWitness, imbalance};
+use crate::witness::{SineShape, SineWitness, imbalance, torque_current};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
 use schemas::feature::{Raw, RawFeatures};
-use schemas::sequence::{Command, TestSequence};
+use schemas::sequence::{Command, Segment, TestSequence};
 use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
 use std::sync::Arc;
 
@@ -26,6 +27,9 @@ const BREAKAWAY_COUNTS: f64 = 1.5;
 
 /// Resolver resolution that break-away is counted in [bits a turn] (assumed).
 const RESOLVER_BITS: u32 = 16;
+
+/// Part of each line there and back over which the current is taken: between the transients of its ends (assumed).
+const LEG_SHARES: (f64, f64) = (0.35, 0.98);
 
 /// Sample numbers `from..=to`, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,6 +95,12 @@ pub struct FeaturePlan {
     /// height of the step: its sign is the direction of motion [rad]
     pub step_rad: f64,
     onset: Option<OnsetPlan>,
+    /// the whole slow cosine; none without one
+    pub slow: Option<ReversalPlan>,
+    /// the steady parts of the first line and of the one back that follows it; none without both
+    pub legs: Option<[Window; 2]>,
+    /// direction of the first of them
+    leg_sign: f64,
     /// |Im| of the simplified model over `sine` [A]
     monitor_a: Vec<f64>,
     equivalent_current: bool,
@@ -142,7 +152,35 @@ impl FeaturePlan {
         let onset = step_rad
             .filter(|_| step.is_some())
             .and_then(|height| OnsetPlan::new(actuator, height, rate_hz, no_load_rad_per_s));
+        let slow = sequence.segments.iter().find_map(|s| match s.command {
+            Command::Cosine {
+                amplitude_rad,
+                frequency_hz,
+            } => Some(ReversalPlan {
+                window: Window::of(s.start_s, s.start_s + s.duration_s, rate_hz),
+                frequency_hz,
+                rate_hz,
+                sign: 1f64.copysign(amplitude_rad),
+                count_rad: std::f64::consts::TAU / (1u64 << RESOLVER_BITS) as f64,
+            }),
+            _ => None,
+        });
+        let slope = |s: &Segment| match s.command {
+            Command::Line { slope_rad_per_s, .. } => slope_rad_per_s,
+            _ => 0.0,
+        };
+        let legs = sequence.segments.windows(2).find(|w| slope(&w[0]) * slope(&w[1]) < 0.0);
+        let leg_sign = legs.map_or(1.0, |w| 1f64.copysign(slope(&w[0])));
+        let legs = legs.map(|w| {
+            [0, 1].map(|k| {
+                let at = |share: f64| w[k].start_s + share * w[k].duration_s;
+                Window::of(at(LEG_SHARES.0), at(LEG_SHARES.1), rate_hz)
+            })
+        });
         Self {
+            slow,
+            legs: legs.filter(|l| !l[0].is_empty() && !l[1].is_empty()),
+            leg_sign,
             onset,
             rate_hz,
             gear_ratio: actuator.gear_ratio,
@@ -158,6 +196,10 @@ impl FeaturePlan {
             monitor_a,
             equivalent_current,
         }
+    }
+
+    fn pole_pairs(&self) -> f64 {
+        self.sine_shape.pole_pairs
     }
 
     /// Whether P2 must come from i_eq, because phase currents are missing.
@@ -177,6 +219,23 @@ impl FeaturePlan {
         Self::channels_of(self.equivalent_current)
     }
 
+    /// The same, and those that say more where a test has them.
+    pub fn wanted(&self) -> ChannelSet {
+        match self.slow {
+            Some(_) => self.channels().with(Channel::VDc),
+            None => self.channels(),
+        }
+    }
+
+    /// As [`FeaturePlan::wanted`] of a test of `sequence`, without a plan.
+    pub fn wanted_of(sequence: &TestSequence, equivalent_current: bool) -> ChannelSet {
+        let channels = Self::channels_of(equivalent_current);
+        match sequence.segment(|c| matches!(c, Command::Cosine { .. })) {
+            Some(_) => channels.with(Channel::VDc),
+            None => channels,
+        }
+    }
+
     /// As [`FeaturePlan::channels`], without a plan.
     pub fn channels_of(equivalent_current: bool) -> ChannelSet {
         use Channel::{Com, IA, IB, IC, IEq, OmegaM, ThetaM};
@@ -184,14 +243,16 @@ impl FeaturePlan {
         if equivalent_current { phases.with(IEq) } else { phases }
     }
 
+    fn windows(&self) -> impl Iterator<Item = Window> {
+        let of_all = [self.regime, self.sine, self.ramp, self.step, self.slow.map(|s| s.window)];
+        of_all.into_iter().flatten().chain(self.legs.into_iter().flatten())
+    }
+
     /// Whether any of the samples `first..first + rows` matters to a feature.
     pub fn needs(&self, first: u64, rows: usize) -> bool {
         let last = first + rows as u64 - 1;
         first == 1
-            || [self.regime, self.sine, self.ramp, self.step]
-                .iter()
-                .flatten()
-                .any(|w| w.from <= last && first <= w.to)
+            || self.windows().any(|w| w.from <= last && first <= w.to)
     }
 }
 
@@ -253,12 +314,20 @@ pub struct FeatureExtractor {
     /// off rest for one sample; the next one confirms it
     breakaway_pending_rad: Option<f64>,
     breakaway_rad: Option<f64>,
+    // slow cosine, lines, supply
+    reversals: Option<ReversalTrack>,
+    /// sums of the torque-giving current and samples, there and back
+    legs: [(f64, u64); 2],
+    supply: (f64, u64),
 }
 
 impl FeatureExtractor {
     /// Nothing seen yet.
     pub fn new(plan: Arc<FeaturePlan>) -> Self {
         Self {
+            reversals: plan.slow.map(ReversalTrack::new),
+            legs: Default::default(),
+            supply: Default::default(),
             plan,
             rest_rad: None,
             regime_seen: 0,
@@ -350,6 +419,27 @@ impl FeatureExtractor {
                 self.sine_seen += rows.len() as u64;
             }
         }
+        if let (Some(theta), [Some(a), Some(b), Some(c)], false) = (theta, phases, self.plan.equivalent_current) {
+            let current = |i: usize| torque_current(self.plan.pole_pairs(), theta[i], [a[i], b[i], c[i]]);
+            if let Some(r) = &mut self.reversals {
+                let w = r.window();
+                let rows = w.rows(view);
+                // what comes after a gap is not taken
+                if view.first + rows.start as u64 == w.from + r.seen() {
+                    rows.for_each(|i| r.push(theta[i], current(i)));
+                }
+            }
+            for (w, (sum, seen)) in self.plan.legs.iter().flatten().zip(&mut self.legs) {
+                let rows = w.rows(view);
+                *seen += rows.len() as u64;
+                rows.for_each(|i| *sum += current(i));
+            }
+        }
+        if let (Some(w), Some(v), Some(_)) = (self.plan.regime, view.column(Channel::VDc), self.plan.slow) {
+            let rows = w.rows(view);
+            self.supply.1 += rows.len() as u64;
+            v[rows].iter().for_each(|v| self.supply.0 += v);
+        }
         if let (Some(w), Some(theta), Some(com)) = (self.plan.ramp, theta, view.column(Channel::Com)) {
             let rows = w.rows(view);
             // after a gap the first sample off rest is not the break-away
@@ -432,7 +522,10 @@ impl FeatureExtractor {
 
     /// Whether nothing that comes can add to the features.
     pub fn is_complete(&self) -> bool {
-        self.progress().iter().flatten().all(|p| p.seen >= p.wanted)
+        let legs = self.plan.legs.iter().flatten().zip(self.legs);
+        let slow = self.reversals.as_ref().is_none_or(|r| r.seen() >= r.window().len());
+        let finer = self.plan.equivalent_current || slow && legs.into_iter().all(|(w, (_, seen))| seen >= w.len());
+        finer && self.progress().iter().flatten().all(|p| p.seen >= p.wanted)
     }
 
     /// Number of raw features measured so far: it grows where a window ends, at break-away and at the end of the
@@ -463,6 +556,8 @@ impl FeatureExtractor {
         let regime_holds = phases && suspect.regime_sum.is_none() && suspect.late_s.is_none();
         let sine_holds = sine && suspect.sine_sum.is_none() && suspect.late_s.is_none();
         let even = self.witness.even_current_a().filter(|_| sine_holds);
+        let reversals = self.reversals.as_ref().and_then(ReversalTrack::found);
+        let reversals = reversals.filter(|_| suspect.late_s.is_none());
         let value = |raw| match raw {
             // a step down runs with negative speed: the mean is counted in the step's direction
             Raw::MeanSpeed => speed_holds.then(|| (self.shift + mean) * 1f64.copysign(self.plan.step_rad)),
@@ -479,9 +574,22 @@ impl FeatureExtractor {
             Raw::EvenCurrent => even.map(|e| e.1),
             Raw::BiasCurrent => even.map(|e| e.0),
             Raw::KineticCurrent => self.witness.kinetic_current_a().filter(|_| sine_holds),
+            Raw::SlowBreakAway => reversals.map(|r| r.break_away_a),
+            Raw::SlowKinetic => reversals.map(|r| r.kinetic_a),
+            Raw::SlowLag => reversals.map(|r| r.lag_s),
+            Raw::LegCurrent => self.leg_current_a().filter(|_| suspect.late_s.is_none()),
+            Raw::Supply => whole(self.plan.regime, self.supply.1).then(|| self.supply.0 / self.supply.1 as f64).filter(|v| v.is_finite()),
         };
         let rest = self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU));
         RawFeatures::from_values(Raw::ALL.map(value), rest)
+    }
+
+    /// Half the difference of the mean currents there and back, once both have come [A].
+    fn leg_current_a(&self) -> Option<f64> {
+        let [there, back] = self.plan.legs?;
+        let all = whole(Some(there), self.legs[0].1) && whole(Some(back), self.legs[1].1);
+        let mean = |k: usize| self.legs[k].0 / self.legs[k].1 as f64;
+        all.then(|| 0.5 * (mean(0) - mean(1)) * self.plan.leg_sign)
     }
 
     /// What is missing, in words; empty when every feature of the sequence is there.
@@ -493,6 +601,19 @@ impl FeatureExtractor {
                 None => v.push(format!("{name}: not in sequence `{}`", self.plan.sequence)),
                 Some(p) if p.seen < p.wanted => v.push(format!("{name}: {} of {} samples", p.seen, p.wanted)),
                 _ => {}
+            }
+        }
+        if let (Some(slow), Some(r), false) = (self.plan.slow, &self.reversals, self.plan.equivalent_current) {
+            let wanted = slow.window.len();
+            if r.seen() < wanted {
+                v.push(format!("slow cosine: {} of {wanted} samples without a gap", r.seen()));
+            } else if r.found().is_none() {
+                v.push("slow cosine: the motor does not come to rest and leave it again in both directions".into());
+            }
+        }
+        for (w, (_, seen)) in self.plan.legs.iter().flatten().zip(self.legs) {
+            if seen < w.len() && !self.plan.equivalent_current {
+                v.push(format!("lines there and back: {seen} of {} samples", w.len()));
             }
         }
         if self.plan.ramp.is_some() && self.breakaway_rad.is_none() && self.rest_rad.is_none() {

@@ -53,6 +53,7 @@ pub mod plant;
 #[cfg(feature = "dataset")]
 pub mod progress;
 pub mod quiet;
+pub mod reversal;
 pub mod sensor;
 pub mod setup;
 pub mod simulate;

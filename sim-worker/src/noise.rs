@@ -81,7 +81,7 @@ impl FeatureSink {
         let n = noise.as_ref().map_or(1, |n| n.seeds.len());
         Self {
             extractors: vec![FeatureExtractor::new(plan.clone()); n],
-            measured: TelemetryBuffer::new(plan.channels(), 512),
+            measured: TelemetryBuffer::new(plan.wanted(), 512),
             plan,
             noise,
         }

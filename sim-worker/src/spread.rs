@@ -312,6 +312,11 @@ impl Spread {
         draw: &[f64; Cause::COUNT],
     ) -> (ActuatorParameters, f64) {
         let mut a = actuator.clone();
+        // the drive divides by its own constant, whatever the unit's flux is
+        let moves_flux = |(c, _): (Cause, f64)| c.acts_through().iter().any(|(c, _)| *c == Cause::BackEmf);
+        if self.causes().any(moves_flux) {
+            a.drive_constant_n_m_per_a = actuator.drive_constant();
+        }
         let mut rest = rest_angle_rad;
         for (cause, h) in self.causes() {
             for (through, per_unit) in cause.acts_through() {

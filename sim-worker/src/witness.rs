@@ -20,7 +20,7 @@ const SLOWEST: f64 = 0.1;
 const FEWEST: u32 = 8;
 
 /// Torque-giving current: half the sum of the phase currents times their normalised back-EMF shapes [A].
-fn torque_current(pole_pairs: f64, theta_m_rad: f64, phases: [f64; 3]) -> f64 {
+pub(crate) fn torque_current(pole_pairs: f64, theta_m_rad: f64, phases: [f64; 3]) -> f64 {
     // electrical angle less 90 degrees in units of 30 degrees, wrapped to -6..6
     let r = (pole_pairs * theta_m_rad * (6.0 / PI) - 3.0 + 6.0).rem_euclid(12.0) - 6.0;
     let shapes = fold(r).map(|f| coefficient::<true>(f, 1.0));

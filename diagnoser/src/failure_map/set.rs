@@ -293,6 +293,12 @@ impl FailureMapSet {
                 witnesses.push(map.ok_or_else(|| Error::bad(&file, place, "not a number", "numbers"))?);
                 continue;
             }
+            if Feature::CAUSES.contains(&feature) {
+                let place = format!("map {}", feature.name());
+                let map = FailureMap::of_cause(feature, &fsj, &zeta, raw, budget.noise);
+                maps.push(map.ok_or_else(|| Error::bad(&file, place, "not a number", "numbers"))?);
+                continue;
+            }
             let direction = stored.directions.get(feature.name()).copied();
             let direction = direction.unwrap_or(feature.direction());
             let mut map = FailureMap::build(&file, feature, direction, &fsj, &zeta, raw, budget.noise, budget.sample)?;

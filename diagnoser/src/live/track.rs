@@ -5,7 +5,7 @@ use crate::diagnosis::{Diagnosis, Outcome};
 use crate::map_library::MapKey;
 use schemas::channel::ChannelSet;
 use schemas::feature::Features;
-use schemas::sequence::{Command, TestSequence};
+use schemas::sequence::TestSequence;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
 use schemas::telemetry::TelemetryView;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
@@ -368,15 +368,7 @@ impl Track {
             .flat_map(|s| &s.segments)
             .rev()
             .find(|s| s.start_s <= t);
-        let name = segment.map_or("-", |s| match s.command {
-            Command::Ramp { .. } => "ramp",
-            Command::Hold { .. } => "hold",
-            Command::Sine { .. } => "sine",
-            Command::Step { .. } => "step",
-            Command::Chirp { .. } => "chirp",
-            Command::Multisine { .. } => "multisine",
-        });
-        name.into()
+        segment.map_or("-", |s| s.command.name()).into()
     }
 }
 

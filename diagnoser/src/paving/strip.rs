@@ -43,7 +43,7 @@ pub(super) struct Cell {
     threshold: Span,
     /// Row at the corners, u first, for the bands that matter here (`live`, a bit for each).
     m: [Row; 4],
-    live: u8,
+    live: u16,
     /// Whether all of the cell has Q <= T.
     full: bool,
 }

@@ -182,7 +182,7 @@ impl Inverse {
             q[i] = rest.map(|x| x / r[i][i]);
         }
         for i in (0..MOST).rev().filter(|&i| r[i][i] > 0.0) {
-            for j in i + 1..8 {
+            for j in i + 1..MOST {
                 q[i] = std::array::from_fn(|k| q[i][k] - r[i][j] * q[j][k]);
             }
             q[i] = q[i].map(|x| x / r[i][i]);

@@ -89,7 +89,7 @@ impl Sweep<'_> {
         let rows = plan.rows(0);
         let common = |model| Arc::new(Noise::common(model, plan.feature_seeds, rows));
         let noise = self.setup.sensors.as_ref().map(common);
-        let mut channels = FeaturePlan::channels_of(self.setup.equivalent_current);
+        let mut channels = FeaturePlan::wanted_of(&self.setup.sequence, self.setup.equivalent_current);
         if let Some(kept) = self.kept {
             channels = ChannelSet(channels.0 | with_sources(kept, self.setup.sensors.is_some()).0);
         }

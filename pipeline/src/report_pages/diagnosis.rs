@@ -114,7 +114,7 @@ fn features(case: &Case) -> Table {
     Table {
         caption: "Features of the recording".into(),
         header: header.map(String::from).to_vec(),
-        rows: Feature::ALL.into_iter().filter_map(row).collect(),
+        rows: Feature::located_by().filter_map(row).collect(),
         note: "\u{b1}: half-width of the band.".into(),
     }
 }

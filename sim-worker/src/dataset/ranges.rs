@@ -55,11 +55,18 @@ impl<'a> FeatureRanges<'a> {
         let motor = travel * a.gear_ratio;
         Raw::ALL.map(|raw| match raw {
             Raw::MeanSpeed | Raw::Ripple => user,
-            Raw::P2 | Raw::CurrentRms | Raw::CurrentSum | Raw::EvenCurrent | Raw::BiasCurrent | Raw::KineticCurrent => {
-                current
-            }
+            Raw::P2
+            | Raw::CurrentRms
+            | Raw::CurrentSum
+            | Raw::EvenCurrent
+            | Raw::BiasCurrent
+            | Raw::KineticCurrent
+            | Raw::SlowBreakAway
+            | Raw::SlowKinetic
+            | Raw::LegCurrent => current,
+            Raw::Supply => MARGIN * a.supply_voltage_v,
             Raw::P3 => travel,
-            Raw::Rise => sequence.duration_s(),
+            Raw::Rise | Raw::SlowLag => sequence.duration_s(),
             Raw::SineTravel => 2.0 * motor,
             Raw::CurrentImbalance => MARGIN,
         })

@@ -234,7 +234,7 @@ impl<'a> Bench<'a> {
         let mut experiments = Vec::new();
         let mut shared = Vec::new();
         for (k, sequence) in plan.sequences.iter().enumerate() {
-            let bare = FeaturePlan::channels_of(plan.equivalent_current);
+            let bare = FeaturePlan::wanted_of(sequence, plan.equivalent_current);
             let stored = plan
                 .telemetry
                 .as_ref()

@@ -6,7 +6,7 @@
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
 use ema_tests::coverage::defects::{self, Defect};
-use ema_tests::coverage::{FSJ, ZETA, calibrated, fresh, judge, only, quantile, record, reference_maps, yardstick};
+use ema_tests::coverage::{FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick};
 use pipeline::calibrate::{Campaign, Effort};
 use schemas::feature::Feature;
 use std::fmt::Write;
@@ -27,6 +27,8 @@ struct Options {
     refined: usize,
     /// spread at twelve rest angles
     angles: Option<String>,
+    /// spread in which both pre-flight tests are compared
+    sequences: Option<String>,
     record: Option<String>,
 }
 
@@ -39,6 +41,7 @@ impl Options {
             coverage_only: false,
             refined: 120,
             angles: None,
+            sequences: None,
             record: None,
         };
         while let Some(arg) = args.next() {
@@ -49,10 +52,12 @@ impl Options {
                 "--refined" => options.refined = value()?.parse()?,
                 "--seed" => options.seed = value()?.parse()?,
                 "--angles" => options.angles = Some(value()?),
+                "--sequences" => options.sequences = Some(value()?),
                 "--record" => options.record = Some(value()?),
                 "--coverage" => options.coverage_only = true,
                 _ => anyhow::bail!(
-                    "{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --angles SPREAD, --record FILE"
+                    "{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --angles SPREAD, --sequences SPREAD, \
+                     --record FILE"
                 ),
             }
         }
@@ -63,9 +68,10 @@ impl Options {
 fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
     let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
-    let text = match &options.angles {
-        Some(spread) => at_twelve_angles(&cache, spread, &options),
-        None => bench(&cache, &options),
+    let text = match (&options.angles, &options.sequences) {
+        (Some(spread), _) => at_twelve_angles(&cache, spread, &options),
+        (None, Some(spread)) => of_both_sequences(&cache, spread, &options),
+        (None, None) => bench(&cache, &options),
     };
     let _ = std::fs::remove_dir_all(&cache);
     let text = text?;
@@ -199,6 +205,50 @@ fn at_random_angles(cache: &std::path::Path) -> Result<String> {
         );
     }
     Ok(out)
+}
+
+/// The paper's pre-flight test and `preflight2` in one spread: what each is worth, with the supply recorded and without.
+fn of_both_sequences(cache: &std::path::Path, spread: &str, options: &Options) -> Result<String> {
+    let spread = sim_worker::catalogue::spread(spread)?;
+    let mut out = format!(
+        "## Both pre-flight tests, spread {}\n\n{} tests of known faults, grid `{}`, calibration of {} tests and {} for the response. 95 % Wilson bounds.\n\n",
+        spread.name, options.tests, options.grid, EFFORT.runs, EFFORT.surface_runs
+    );
+    let mut worth = String::from(
+        "| maps | truth inside % | width FSJ | width zeta | error FSJ | error zeta |\n|---|---|---|---|---|---|\n",
+    );
+    for sequence in ["preflight", "preflight2"] {
+        let (set, setup) = maps_of(&cache.join(sequence), sequence, &options.grid, 0.0)?;
+        for l in &set.header.left_out {
+            let _ = writeln!(out, "{sequence}: left out {l}\n");
+        }
+        let campaign = Campaign::run(&setup, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
+        let (units, measured) = fresh(&setup, &spread, options.tests, options.seed)?;
+        let all: Vec<Feature> = set.maps.iter().map(|m| m.feature).collect();
+        let without = |left: &[Feature]| all.iter().copied().filter(|f| !left.contains(f)).collect::<Vec<_>>();
+        for (title, left) in [("supply recorded", &[][..]), ("supply not recorded", &Feature::CAUSES)] {
+            if left.is_empty() && sequence == "preflight" {
+                continue;
+            }
+            let diagnoser = calibrated(&only(&set, &without(left)), &campaign)?;
+            let cases = judge(&diagnoser, &units, &measured);
+            out += &record::coverage(&format!("{sequence}, {title}"), &cases);
+            out += &record::thirds(&spread, &units, &cases);
+            worth += &record::maps_row(&format!("{sequence}, {title}"), &cases);
+        }
+        for f in Feature::FINER.into_iter().filter(|f| all.contains(f)) {
+            for more in [&[][..], &Feature::CAUSES] {
+                let left = [&[f], more].concat();
+                let names: Vec<&str> = left.iter().map(|f| f.name()).collect();
+                let part = calibrated(&only(&set, &without(&left)), &campaign)?;
+                worth += &record::maps_row(
+                    &format!("{sequence} without {}", names.join(", ")),
+                    &judge(&part, &units, &measured),
+                );
+            }
+        }
+    }
+    Ok(out + "### What the maps are worth\n\n" + &worth)
 }
 
 /// Degrees that no symmetry of phases and poles ties together.

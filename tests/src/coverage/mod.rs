@@ -24,11 +24,16 @@ pub const ZETA: (f64, f64) = (0.0, 0.5);
 
 /// Maps of the reference actuator through the reference sensors, at a rest angle.
 pub fn reference_maps(dir: &Path, grid: &str, rest_angle_rad: f64) -> Result<(FailureMapSet, TestSetup)> {
+    maps_of(dir, "preflight", grid, rest_angle_rad)
+}
+
+/// The same of another sequence.
+pub fn maps_of(dir: &Path, sequence: &str, grid: &str, rest_angle_rad: f64) -> Result<(FailureMapSet, TestSetup)> {
     let actuator = Arc::new(ActuatorParameters::reference());
     let setup = TestSetup {
         sensors: catalogue::sensors("reference")?,
         rest_angle_rad,
-        ..TestSetup::new(actuator, catalogue::sequence("preflight")?, 1e4)
+        ..TestSetup::new(actuator, catalogue::sequence(sequence)?, 1e4)
     };
     let grid = catalogue::grid(grid)?;
     let request = MapRequest { setup, grid };

@@ -4,6 +4,7 @@ use super::{Case, percent, quadrant, quantile};
 use diagnoser::diagnosis::Diagnoser;
 use pipeline::calibrate::Unit;
 use schemas::feature::{Feature, RawFeatures};
+use sim_worker::spread::Spread;
 use std::fmt::Write;
 use std::time::Instant;
 
@@ -64,6 +65,25 @@ pub fn coverage(title: &str, cases: &[Case]) -> String {
     }
     out.push('\n');
     out
+}
+
+/// Coverage and width in each third of each cause of a spread.
+pub fn thirds(spread: &Spread, units: &[Unit], cases: &[Case]) -> String {
+    let mut out = String::from("| cause | low third % | middle % | high third % | widths FSJ |\n|---|---|---|---|---|\n");
+    for (cause, _) in spread.causes() {
+        let third = |u: &Unit| (((u.draw[cause as usize] + 1.0) * 1.5) as usize).min(2);
+        let mut widths = Vec::new();
+        let _ = write!(out, "| {} |", cause.title());
+        for k in 0..3 {
+            let of: Vec<&Case> = units.iter().zip(cases).filter(|(u, _)| third(u) == k).map(|(_, c)| c).collect();
+            let inside = of.iter().filter(|c| c.inside).count();
+            let _ = write!(out, " {} |", percent(inside, of.len()));
+            let width = quantile(of.iter().filter_map(|c| Some(100.0 * c.found?.0.0 / c.fsj)), 0.5);
+            widths.push(format!("{width:.2}"));
+        }
+        let _ = writeln!(out, " {} |", widths.join(", "));
+    }
+    out + "\n"
 }
 
 /// One row of a table of map sets.
