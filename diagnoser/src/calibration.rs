@@ -4,8 +4,8 @@
 //! of which the maps are made of, are diagnosed. The score of a test is the smallest reach at which the
 //! reported intervals hold its true pair. The reach for a coverage is an order statistic of the scores,
 //! taken so high that the coverage holds, with a confidence of 80 %, whatever the distribution. Tests are grouped
-//! by the quadrant of the fault range that the estimate lies in (Mondrian), so that no quadrant pays for
-//! another.
+//! by the quadrant of the fault range that the estimate lies in, or, where they are many, by strips of its FSJ (Mondrian), so
+//! that no part of the range pays for another.
 
 use crate::seal;
 use crate::uncertainty::ResponseSurfaces;
@@ -25,6 +25,11 @@ const REFUSED: f64 = 0.005;
 
 /// Fewest tests of a group of its own: with fewer, the confidence costs more width than the group saves.
 const FEWEST: usize = 200;
+
+/// Tests of a strip of FSJ, at least, and how many strips there are (assumed).
+const STRIP: usize = 400;
+const LEAST_STRIPS: usize = 5;
+const MOST_STRIPS: usize = 8;
 
 /// Reach of uncalibrated areas for 95 % in standard deviations, and what their misfit may be: two Gaussian
 /// parameters would need 2.45 (assumed).
@@ -60,6 +65,14 @@ pub struct Calibration {
     pub misfits: Vec<f64>,
     /// greatest deviation of a witness in each test, in standard uncertainties, rising
     pub deviations: Vec<f64>,
+    /// scores by strips of the estimate's FSJ, where tests are many: upper end of each strip, rising, and its scores, rising.
+    /// They stand in for those by quadrant
+    #[serde(default)]
+    pub strips: Vec<(f64, Vec<f64>)>,
+    /// how far the kinetic factor of each test lies from its estimate, in standard uncertainties, rising; none where units
+    /// do not differ in it
+    #[serde(default)]
+    pub kinetic: Vec<f64>,
     /// response of the features to the causes; none without spread
     pub surfaces: Option<ResponseSurfaces>,
 }
@@ -73,7 +86,31 @@ impl Calibration {
         }
     }
 
-    /// How far an area reaches for a coverage, in standard deviations.
+    /// Fills the scores by strips, where there are tests enough.
+    ///
+    /// * `tests` FSJ of the estimate, and score
+    pub fn in_strips(&mut self, mut tests: Vec<(f64, f64)>) {
+        let strips = (tests.len() / STRIP).min(MOST_STRIPS);
+        self.strips.clear();
+        if strips < LEAST_STRIPS {
+            return;
+        }
+        tests.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for part in tests.chunks(tests.len().div_ceil(strips)) {
+            let mut scores: Vec<f64> = part.iter().map(|t| t.1).collect();
+            scores.sort_by(f64::total_cmp);
+            self.strips.push((part[part.len() - 1].0, scores));
+        }
+    }
+
+    /// How far an area reaches for a coverage, in standard deviations: upper end of each strip of the estimate's FSJ, and
+    /// the reach there; none where there are no strips.
+    pub fn reaches(&self, coverage: f64) -> Vec<(f64, f64)> {
+        let of = |(end, scores): &(f64, Vec<f64>)| (*end, Self::reach_of(scores, coverage));
+        self.strips.iter().map(of).collect()
+    }
+
+    /// How far an area reaches for a coverage, in standard deviations, where there are no strips.
     ///
     /// * `quadrant` of the estimate
     pub fn reach(&self, coverage: f64, quadrant: usize) -> f64 {
@@ -87,6 +124,10 @@ impl Calibration {
             pooled = all;
             &pooled
         };
+        Self::reach_of(scores, coverage)
+    }
+
+    fn reach_of(scores: &[f64], coverage: f64) -> f64 {
         let reach = quantile(scores, coverage);
         if reach < REFUSED_SCORE {
             return reach;
@@ -94,6 +135,11 @@ impl Calibration {
         // more is asked for than tests are explained: as far as any of them reaches
         let explained = scores.iter().rev().find(|s| **s < REFUSED_SCORE);
         explained.copied().unwrap_or(UNCALIBRATED.0)
+    }
+
+    /// How far the interval of the kinetic factor reaches for a coverage, in standard uncertainties; none without scores.
+    pub fn kinetic_reach(&self, coverage: f64) -> Option<f64> {
+        (!self.kinetic.is_empty()).then(|| quantile(&self.kinetic, coverage))
     }
 
     /// Greatest misfit that is not called unexplained.

@@ -96,6 +96,18 @@ pub struct Diagnosis {
     pub calibrated: bool,
     /// misfit of the best fault pair, and from which on a test is unexplained
     pub misfit: Option<(f64, f64)>,
+    /// of a located test, where units differ in it: dynamic friction over that of the healthy model
+    pub kinetic: Option<Kinetic>,
+}
+
+/// The kinetic factor of a test: FSJ times by how much the unit's own dynamic friction differs from the model's. A single
+/// test knows it better than FSJ.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kinetic {
+    /// with the coverage of the diagnosis
+    pub interval: Interval,
+    /// most probable value
+    pub estimate: f64,
 }
 
 impl Diagnosis {
@@ -107,6 +119,7 @@ impl Diagnosis {
             coverage: COVERAGE,
             calibrated: false,
             misfit: None,
+            kinetic: None,
         }
     }
 }
@@ -147,12 +160,16 @@ impl Outcome {
 pub struct Score {
     /// how far its area must reach so that the intervals hold the true pair, in standard uncertainties
     pub reach: f64,
+    /// the same for the interval of each fault alone
+    pub each: [f64; 2],
     /// `Q` of the best pair
     pub misfit: f64,
     /// greatest deviation of a witness, in standard uncertainties
     pub deviation: f64,
     /// quadrant of the fault range that the estimate lies in
     pub quadrant: usize,
+    /// of the estimate
+    pub fsj: f64,
 }
 
 /// One actuator's maps made ready to diagnose: prepared once, then a diagnosis takes microseconds.
@@ -166,6 +183,8 @@ pub struct Diagnoser {
     estimator: Estimator,
     /// by quadrant
     reach: [f64; 4],
+    /// upper end of each strip of FSJ and the reach there, where there are strips
+    reaches: Vec<(f64, f64)>,
     gate: f64,
     witness_gate: f64,
 }
@@ -228,6 +247,7 @@ impl Diagnoser {
                 ([reach; 4], gate)
             }
         };
+        let reaches = calibration.as_ref().map_or(Vec::new(), |c| c.reaches(coverage));
         let witness_gate = calibration.as_ref().map_or(WITNESS_GATE, Calibration::witness_gate);
         Self {
             maps,
@@ -235,6 +255,7 @@ impl Diagnoser {
             coverage,
             estimator,
             reach,
+            reaches,
             gate,
             witness_gate,
         }
@@ -308,6 +329,14 @@ impl Diagnoser {
             }
             let left = s.remainder.get(feature.name()).copied().unwrap_or(0.0);
             parts.push(("bend of the response".into(), left));
+            // as the units show at these faults; what it is made of, as on the whole
+            if let Some(scatter) = s.scatter(feature, fsj, zeta) {
+                let last = parts.len() - 1;
+                let own = |k: &usize| *k < 3 || *k == last;
+                let stated: f64 = (0..=last).filter(own).map(|k| parts[k].1.powi(2)).sum();
+                let factor = (scatter / stated.max(f64::MIN_POSITIVE)).sqrt();
+                (0..=last).filter(own).for_each(|k| parts[k].1 *= factor);
+            }
         }
         parts.retain(|(_, u)| *u > 0.0);
         parts
@@ -342,9 +371,17 @@ impl Diagnoser {
         self.coverage
     }
 
-    /// How far areas reach, in standard uncertainties, by quadrant of the estimate.
+    /// How far areas reach, in standard uncertainties, where the estimate is in the middle of a quadrant.
     pub fn reach(&self, quadrant: usize) -> f64 {
-        self.reach[quadrant]
+        let limits = self.estimator.limits();
+        let middle = |(lo, hi): (f64, f64), upper: usize| lo + (0.25 + 0.5 * upper as f64) * (hi - lo);
+        self.reach_at(middle(limits.f, quadrant % 2), middle(limits.z, quadrant / 2))
+    }
+
+    /// How far areas reach, in standard uncertainties, where the estimate is at a fault pair.
+    pub fn reach_at(&self, fsj: f64, zeta: f64) -> f64 {
+        let strip = self.reaches.iter().find(|(end, _)| fsj <= *end).or(self.reaches.last());
+        strip.map_or_else(|| self.reach[self.estimator.quadrant(fsj, zeta)], |(_, reach)| *reach)
     }
 
     /// The paper's cut of a map: half-widths of `band` standard uncertainties.
@@ -360,7 +397,9 @@ impl Diagnoser {
 
     /// Half-width of bands, in standard uncertainties, where nothing was located.
     pub fn usual_band(&self) -> f64 {
-        self.reach.iter().fold(0.0, |a: f64, &b| a.max(b))
+        let strips = self.reaches.iter().map(|r| r.1);
+        let all: &[f64] = if self.reaches.is_empty() { &self.reach } else { &[] };
+        strips.chain(all.iter().copied()).fold(0.0, f64::max)
     }
 
     /// The fault pairs that the features allow.
@@ -371,12 +410,43 @@ impl Diagnoser {
         let mut misfit = None;
         let outcome = self.outcome(features, missing, &mut misfit);
         Diagnosis {
+            kinetic: matches!(outcome, Outcome::Located(_))
+                .then(|| self.kinetic(features))
+                .flatten(),
             outcome,
             features: *features,
             coverage: self.coverage,
             calibrated: self.calibration.is_some(),
             misfit: misfit.map(|q| (q, self.gate)),
         }
+    }
+
+    fn kinetic(&self, features: &Features) -> Option<Kinetic> {
+        let reach = self.calibration.as_ref()?.kinetic_reach(self.coverage)?;
+        let (estimate, sd) = self.kinetic_of(features)?;
+        let interval = Interval {
+            lo: estimate - reach * sd,
+            hi: estimate + reach * sd,
+        };
+        Some(Kinetic { interval, estimate })
+    }
+
+    /// Kinetic factor and its standard uncertainty.
+    fn kinetic_of(&self, features: &Features) -> Option<(f64, f64)> {
+        let mut values: Row = [f64::NAN; MOST];
+        for (v, f) in values.iter_mut().zip(self.estimator.features()) {
+            *v = features.get(*f).unwrap_or(f64::NAN);
+        }
+        let best = self.estimator.best(&values, self.gate)?;
+        self.estimator.kinetic(&values, &best)
+    }
+
+    /// How far the kinetic factor of a test lies from its estimate, in standard uncertainties; `None` where units do not
+    /// differ in it.
+    pub fn kinetic_score(&self, features: &Features, truth: f64) -> Option<f64> {
+        self.whole(features)?;
+        let (estimate, sd) = self.kinetic_of(features)?;
+        Some((truth - estimate).abs() / sd)
     }
 
     fn outcome(&self, features: &Features, missing: &[String], misfit: &mut Option<f64>) -> Outcome {
@@ -439,7 +509,7 @@ impl Diagnoser {
     }
 
     fn area_about(&self, values: &Row, best: &Estimate) -> Option<Area> {
-        let reach = self.reach[self.estimator.quadrant(best.fsj, best.zeta)];
+        let reach = self.reach_at(best.fsj, best.zeta);
         let (joint, limits) = self.estimator.confidence_set(values, best, reach);
         let any = [(f64::NEG_INFINITY, f64::INFINITY); MOST];
         let paving = Paver::new().pave(self.estimator.lattice(), &joint, &any, &limits, &Goal::default())?;
@@ -598,13 +668,16 @@ impl Diagnoser {
     pub fn score(&self, features: &Features, fsj: f64, zeta: f64) -> Option<Score> {
         let values = self.whole(features)?;
         let best = self.estimator.best(&values, self.gate)?;
-        let profile = self.estimator.profile(&values, &best, fsj, zeta);
+        let (at_fsj, at_zeta) = self.estimator.profile(&values, &best, fsj, zeta);
+        let each = [at_fsj, at_zeta].map(|q| (q - best.misfit).max(0.0).sqrt());
         let witnesses = self.estimator.witnesses(features, &best);
         Some(Score {
-            reach: (profile - best.misfit).max(0.0).sqrt(),
+            reach: each[0].max(each[1]),
+            each,
             misfit: best.misfit,
             deviation: witnesses.iter().fold(0.0, |a, w| a.max(w.3.abs())),
             quadrant: self.estimator.quadrant(best.fsj, best.zeta),
+            fsj: best.fsj,
         })
     }
 

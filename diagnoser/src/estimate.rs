@@ -3,7 +3,7 @@
 use crate::calibration::Calibration;
 use crate::failure_map::{FailureMap, FailureMapSet};
 use crate::paving::{Joint, Lattice, Limits};
-use crate::uncertainty::{Factors, Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, Straight};
+use crate::uncertainty::{Deviations, Factors, Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, Straight};
 use nalgebra::{DMatrix, DVector};
 use schemas::feature::{Feature, Features};
 use sim_worker::spread::{Cause, Known, of_uniform};
@@ -86,10 +86,15 @@ pub struct Estimator {
     lattice: Lattice,
     /// variance of each feature on the lattice's nodes without common causes
     variances: Vec<Row>,
+    /// of what features err by, beside common causes
+    correlation: [Row; MOST],
     /// response to common causes, known and unknown
     causes: Option<PreparedSurfaces>,
     /// which those are, in the same order
     unknown: Vec<Cause>,
+    /// by how much dynamic friction of the unit, at the same FSJ, differs from the model's: what is known of it, and for one
+    /// standard deviation of each unknown cause; relative
+    kinetic: (f64, Vec<f64>),
     limits: Limits,
     starts: Vec<Start>,
     witnesses: Vec<FailureMap>,
@@ -157,7 +162,9 @@ impl Estimator {
                     let (f_in, z_in) = (within(f, limits.f), within(z, limits.z));
                     let guessed = GUESSED * (nodes[i][k] - m.at(f_in, z_in));
                     let guessed = if (f_in, z_in) == (f, z) { 0.0 } else { guessed * guessed };
-                    variances[i][k] = (share * m.uncertainty(f, z)).powi(2) + left + least + guessed;
+                    let scatter = surfaces.and_then(|s| s.scatter(m.feature, f, z));
+                    let scatter = scatter.unwrap_or_else(|| (share * m.uncertainty(f, z)).powi(2) + left);
+                    variances[i][k] = scatter + least + guessed;
                 }
             }
         }
@@ -171,11 +178,13 @@ impl Estimator {
             *r = surfaces.and_then(|s| s.remainder.get(f.name())).copied().unwrap_or(0.0);
         }
         let mut estimator = Self {
+            correlation: surfaces.map_or_else(unrelated, |s| s.correlation(&features)),
             features,
             lattice,
             variances,
             causes: None,
             unknown: Vec::new(),
+            kinetic: (0.0, Vec::new()),
             limits,
             starts: Vec::new(),
             witnesses,
@@ -197,6 +206,9 @@ impl Estimator {
         self.causes = surfaces.map(|s| s.prepared_factors(&self.features, factors));
         self.witness_causes = surfaces.map(|s| s.prepared_factors(&names, factors));
         self.unknown = factors.each.iter().map(|(c, _)| *c).collect();
+        let kinetic = |x: &Deviations| x[Cause::DynamicRatio as usize] + x[Cause::HealthyFriction as usize];
+        let each = factors.each.iter().map(|(_, x)| kinetic(x)).collect();
+        self.kinetic = (kinetic(&factors.middle), each);
         self.discrepancy = (factors.discrepancies(&self.features).1, factors.discrepancies(&names).1);
         self.starts = self.make_starts();
     }
@@ -283,7 +295,11 @@ impl Estimator {
         let n = self.features.len();
         let mut c = [[0.0; MOST]; MOST];
         let variance = self.variance(fsj, zeta);
-        (0..n).for_each(|k| c[k][k] = variance[k]);
+        let sd = variance.map(f64::sqrt);
+        for i in 0..n {
+            (0..i).for_each(|j| c[i][j] = self.correlation[i][j] * sd[i] * sd[j]);
+            c[i][i] = variance[i];
+        }
         for s in common.iter().flat_map(|s| &s.slopes[..s.causes]) {
             for i in 0..n {
                 for j in 0..=i {
@@ -498,8 +514,8 @@ impl Estimator {
         let faults = [(by_f, self.limits.f), (by_z, self.limits.z)];
         let c = DMatrix::from_fn(n, n, |i, j| {
             let far = |(by, (lo, hi)): &(Row, (f64, f64))| 1e2 * by[i] * by[j] * (hi - lo) * (hi - lo);
-            let diagonal = if i == j { wider * own[i] } else { 0.0 };
-            diagonal + faults.iter().map(far).sum::<f64>()
+            let scatter = self.correlation[i][j] * (own[i] * own[j]).sqrt();
+            wider * scatter + faults.iter().map(far).sum::<f64>()
         });
         let slopes = DMatrix::from_fn(n, causes, |i, k| s.slopes[k][i]);
         let left = DVector::from_fn(n, |i, _| values[i] - s.shift[i] - maps[i]);
@@ -520,6 +536,48 @@ impl Estimator {
         (mean, covariance)
     }
 
+    /// The kinetic factor of a test: dynamic friction over that of the healthy model, FSJ times what the unit's own
+    /// dynamic friction differs by; its most probable value and standard uncertainty. `None` where nothing makes it differ
+    /// from FSJ.
+    ///
+    /// Linear about the best pair (Gauss-Markov), causes with their standard deviations before the test.
+    pub fn kinetic(&self, values: &Row, best: &Estimate) -> Option<(f64, f64)> {
+        if self.kinetic.1.iter().all(|x| *x == 0.0) {
+            return None;
+        }
+        let s = self.straight(best.fsj, best.zeta, &best.guess)?;
+        let (maps, by_f, by_z) = self.lattice.with_slopes(best.fsj, best.zeta);
+        let whitening = self.whitening(values, best.fsj, best.zeta, &None);
+        let columns = [by_f, by_z].into_iter().chain(s.slopes[..s.causes].iter().copied());
+        let columns: Vec<Row> = columns.map(|c| apply(&whitening, &c)).collect();
+        let mut left = [0.0; MOST];
+        for k in (0..self.features.len()).filter(|&k| values[k].is_finite()) {
+            left[k] = values[k] - s.shift[k] - maps[k];
+        }
+        let left = apply(&whitening, &left);
+        let dot = |a: &Row, b: &Row| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let n = columns.len();
+        // steps of FSJ and zeta by their range, so that the matrix can be inverted
+        let ranges = [self.limits.f.1 - self.limits.f.0, self.limits.z.1 - self.limits.z.0];
+        let size = |i: usize| ranges.get(i).copied().unwrap_or(1.0);
+        let information = DMatrix::from_fn(n, n, |i, j| {
+            let prior = if i == j && i >= 2 { 1.0 } else { 0.0 };
+            prior + size(i) * size(j) * dot(&columns[i], &columns[j])
+        });
+        let right = DVector::from_fn(n, |i, _| size(i) * dot(&columns[i], &left));
+        let solver = information.cholesky()?;
+        let found = solver.solve(&right);
+        let fsj = best.fsj + size(0) * found[0];
+        let own = 1.0 + self.kinetic.0 + (0..n - 2).map(|k| self.kinetic.1[k] * found[k + 2]).sum::<f64>();
+        let gradient = DVector::from_fn(n, |i, _| match i {
+            0 => own * size(0),
+            1 => 0.0,
+            _ => fsj * self.kinetic.1[i - 2],
+        });
+        let variance = gradient.dot(&solver.solve(&gradient));
+        Some((fsj * own, variance.sqrt()))
+    }
+
     /// The set of pairs whose misfit is at most `reach^2` above that of the best pair, within the maps.
     pub fn confidence_set(&self, values: &Row, best: &Estimate, reach: f64) -> (Joint, Limits) {
         let threshold = best.misfit + reach * reach;
@@ -533,8 +591,8 @@ impl Estimator {
     }
 
     /// The smallest misfit, with the covariance of `best`, on the line of one fault through a pair and on
-    /// that of the other; the greater of the two.
-    pub fn profile(&self, values: &Row, best: &Estimate, fsj: f64, zeta: f64) -> f64 {
+    /// that of the other.
+    pub fn profile(&self, values: &Row, best: &Estimate, fsj: f64, zeta: f64) -> (f64, f64) {
         let Limits { f, z } = self.limits;
         let along = |lines: &[f64], (lo, hi): (f64, f64), pair: &dyn Fn(f64) -> (f64, f64)| {
             let inner = lines.iter().copied().filter(|x| lo < *x && *x < hi);
@@ -556,7 +614,7 @@ impl Estimator {
         // between two lines of the lattice the residual changes straight
         let at_fsj = along(&self.lattice.zeta, z, &|x| (fsj, x));
         let at_zeta = along(&self.lattice.fsj, f, &|x| (x, zeta));
-        at_fsj.max(at_zeta)
+        (at_fsj, at_zeta)
     }
 }
 
@@ -569,6 +627,11 @@ fn least_uncertainty(witness: Feature) -> f64 {
         // a milliampere; a thousandth of the current
         _ => 1e-3,
     }
+}
+
+/// No feature's error says anything of another's.
+fn unrelated() -> [Row; MOST] {
+    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1.0 } else { 0.0 }))
 }
 
 /// Variance of feature `k` by common causes.

@@ -239,7 +239,10 @@ impl FailureMap {
         map.direction = feature.direction();
         let value = monotone_surface(&map.value, rows, columns, map.direction);
         map.residual = map.value.iter().zip(&value).map(|(a, b)| (a - b).abs()).collect();
-        map.error.iter_mut().zip(&map.residual).for_each(|(e, r)| *e = e.hypot(*r));
+        map.error
+            .iter_mut()
+            .zip(&map.residual)
+            .for_each(|(e, r)| *e = e.hypot(*r));
         let mean = value.iter().sum::<f64>() / value.len() as f64;
         map.budget.noise = noise.max(of_uniform(SUPPLY_ACCURACY * mean.abs()));
         map.budget.projection = root_mean_square(map.residual.iter().copied());

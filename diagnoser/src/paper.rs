@@ -26,6 +26,7 @@ pub fn diagnose(d: &Diagnoser, features: &Features, missing: &[String]) -> Diagn
         coverage: f64::NAN,
         calibrated: false,
         misfit: None,
+        kinetic: None,
     }
 }
 

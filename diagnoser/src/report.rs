@@ -21,7 +21,7 @@ pub fn to_json(d: &Diagnosis) -> Value {
     let more = Feature::FINER.into_iter().chain(Feature::CAUSES);
     let more = more.filter_map(|f| Some((f, json!(d.features.get(f)?))));
     let features = told.chain(more).map(|(f, v)| (f.key().to_string(), v));
-    json!({
+    let mut object = json!({
         "outcome": d.outcome.name(),
         "fsj": interval(area.map(|a| a.fsj.lo), area.map(|a| a.fsj.hi), area.map(|a| a.centroid.0)),
         "zeta": interval(area.map(|a| a.zeta.lo), area.map(|a| a.zeta.hi), area.map(|a| a.centroid.1)),
@@ -35,7 +35,11 @@ pub fn to_json(d: &Diagnosis) -> Value {
         "features": serde_json::Map::from_iter(features),
         "contradicting": contradicting(&d.outcome).iter().map(|f| f.name()).collect::<Vec<_>>(),
         "reason": d.outcome.reason(),
-    })
+    });
+    if let Some(k) = &d.kinetic {
+        object["kinetic_factor"] = interval(Some(k.interval.lo), Some(k.interval.hi), Some(k.estimate));
+    }
+    object
 }
 
 /// The object with the version of its keys, as programs get it on standard output. Nested objects and the rows of logs

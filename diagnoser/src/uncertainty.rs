@@ -64,6 +64,14 @@ pub struct Scale {
 }
 
 impl Scale {
+    /// The same with the logarithm of FSJ: what errors are like changes most where friction is low.
+    fn of_log(&self, fsj: f64, zeta: f64) -> (f64, f64) {
+        const LEAST: f64 = 0.1;
+        let log = |x: f64| x.max(LEAST).ln();
+        let (lo, hi) = (log(self.fsj.0), log(self.fsj.1));
+        ((2.0 * log(fsj) - lo - hi) / (hi - lo), self.of(fsj, zeta).1)
+    }
+
     fn of(&self, fsj: f64, zeta: f64) -> (f64, f64) {
         let scaled = |x: f64, (lo, hi): (f64, f64)| (2.0 * x - lo - hi) / (hi - lo);
         (scaled(fsj, self.fsj), scaled(zeta, self.zeta))
@@ -99,7 +107,23 @@ pub struct ResponseSurfaces {
     /// by feature name: share of the uncertainty that the map states which the units show; 1 where they show more
     #[serde(default)]
     shares: BTreeMap<String, f64>,
+    /// by feature name: coefficients over the faults of the logarithm of the variance that the units show about slopes and
+    /// bends, in the feature's unit; files of earlier versions have none
+    #[serde(default)]
+    scatter: BTreeMap<String, Slope>,
+    /// correlation of that scatter for each two features, names in the order of `scatter`
+    #[serde(default)]
+    correlation: Vec<Vec<f64>>,
 }
+
+/// Mean of the logarithm of a chi-squared variable of one degree of freedom.
+const LOG_CHI: f64 = -1.270_362_845_461_478;
+
+/// Standard deviations beyond which a residual counts as so many (assumed).
+const CLIPPED: f64 = 3.0;
+
+/// Greatest factor by which scatter that is not normal may differ from what its logarithm says (assumed).
+const UNLIKE: f64 = 30.0;
 
 /// One simulated unit: its faults, deviations, and its features less the maps'.
 pub struct Sample {
@@ -148,6 +172,24 @@ impl Regression {
     }
 }
 
+/// Value of a logarithm's coefficients at scaled faults, within the range that was fitted.
+fn log_surface(log: &Slope, (w, v): (f64, f64)) -> f64 {
+    let terms = terms(w.clamp(-1.0, 1.0), v.clamp(-1.0, 1.0));
+    log.iter().zip(&terms).map(|(a, t)| a * t).sum()
+}
+
+/// Correlation of each two of series of equal length with mean 0; shrunk by what chance makes of so many.
+fn correlations(series: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let of = |(i, a): (usize, &Vec<f64>), (j, b): (usize, &Vec<f64>)| {
+        let all = (product(a, a) * product(b, b)).sqrt().max(f64::MIN_POSITIVE);
+        let shrunk = 1.0 - 1.0 / (a.len() as f64).max(2.0);
+        if i == j { 1.0 } else { shrunk * product(a, b) / all }
+    };
+    let row = |a| series.iter().enumerate().map(|b| of(a, b)).collect();
+    series.iter().enumerate().map(row).collect()
+}
+
 impl ResponseSurfaces {
     /// Least squares over simulated units. Features are those of the first sample; causes that never
     /// deviate have slope 0.
@@ -184,6 +226,10 @@ impl ResponseSurfaces {
         let (mut slopes, mut bends) = (BTreeMap::new(), BTreeMap::new());
         let (mut remainder, mut shares) = (BTreeMap::new(), BTreeMap::new());
         let features = samples.first().map_or(&[][..], |s| &s.residual);
+        let places: Vec<(f64, f64)> = samples.iter().map(|s| scale.of_log(s.fsj, s.zeta)).collect();
+        let plain = |&(w, v): &(f64, f64)| terms(w, v).to_vec();
+        let over_faults = Regression::new(&places.iter().map(plain).collect::<Vec<_>>());
+        let (mut scatter, mut scaled) = (BTreeMap::new(), BTreeMap::new());
         for (k, (feature, _, _)) in features.iter().enumerate() {
             let (x, left) = regression.fit(samples.iter().map(|s| s.residual[k].1));
             let mut slope = [[0.0; TERMS]; Cause::COUNT];
@@ -204,6 +250,26 @@ impl ResponseSurfaces {
             };
             shares.insert(feature.name().to_string(), share);
             let variance = (shown - stated).max(0.0);
+            // few coefficients follow nothing of the scatter, many some of it
+            let lost = samples.len() as f64 / free;
+            let size = |left: f64| (lost * left * left).max(1e-12 * shown).max(f64::MIN_POSITIVE);
+            let (log, _) = over_faults.fit(left.iter().map(|l| size(*l).ln() - LOG_CHI));
+            let log: Slope = std::array::from_fn(|t| log[t]);
+            // what the logarithm's mean makes of scatter that is not normal
+            let part = |(l, place): (&f64, &(f64, f64))| lost * l * l / log_surface(&log, *place).exp();
+            let whole = left.iter().zip(&places).map(part).sum::<f64>() / samples.len() as f64;
+            let mut log = log;
+            log[0] += whole.clamp(1.0 / UNLIKE, UNLIKE).ln();
+            let one = |(l, place): (&f64, &(f64, f64))| {
+                let sd = (0.5 * log_surface(&log, *place)).exp();
+                (l / sd).clamp(-CLIPPED, CLIPPED)
+            };
+            // maps that state nothing were not measured: what they say stands
+            if stated > 0.0 {
+                let name = feature.name().to_string();
+                scaled.insert(name.clone(), left.iter().zip(&places).map(one).collect::<Vec<f64>>());
+                scatter.insert(name, log);
+            }
             slopes.insert(feature.name().to_string(), slope);
             remainder.insert(feature.name().to_string(), variance.sqrt());
         }
@@ -214,7 +280,30 @@ impl ResponseSurfaces {
             bends,
             remainder,
             shares,
+            scatter,
+            correlation: correlations(&scaled.into_values().collect::<Vec<_>>()),
         }
+    }
+
+    /// Variance of a feature of units about slopes and bends at a fault pair, maps and sensors included [square of its
+    /// unit]; `None` where it was not fitted.
+    pub fn scatter(&self, feature: Feature, fsj: f64, zeta: f64) -> Option<f64> {
+        let log = self.scatter.get(feature.name())?;
+        Some(log_surface(log, self.scale.of_log(fsj, zeta)).exp())
+    }
+
+    /// Correlation of that scatter between features, 1 of each with itself and 0 where it was not fitted.
+    pub fn correlation(&self, features: &[Feature]) -> [Row; MOST] {
+        let place = |f: &Feature| self.scatter.keys().position(|name| name == f.name());
+        let mut out = [[0.0; MOST]; MOST];
+        for (i, a) in features.iter().enumerate().take(MOST) {
+            for (j, b) in features.iter().enumerate().take(MOST) {
+                let both = place(a).zip(place(b)).filter(|_| i != j);
+                let found = both.and_then(|(a, b)| self.correlation.get(a)?.get(b).copied());
+                out[i][j] = if i == j { 1.0 } else { found.unwrap_or(0.0) };
+            }
+        }
+        out
     }
 
     /// Share of the uncertainty that the map of a feature states which simulated units show: leave-one-out

@@ -41,7 +41,7 @@ impl Effort {
     /// What maps that are made on first use are calibrated with.
     pub const QUICK: Self = Self {
         runs: 512,
-        surface_runs: 768,
+        surface_runs: 1024,
         seed: 0,
     };
 }
@@ -80,6 +80,12 @@ pub struct Unit {
     pub draw: [f64; Cause::COUNT],
     /// of the sensor noise
     pub seed: u64,
+}
+
+/// Dynamic friction of a unit's test over that of the healthy model: the kinetic factor, FSJ where units do not differ in it.
+pub fn kinetic_factor(spread: &Spread, unit: &Unit) -> f64 {
+    let x = deviations(spread, &unit.draw);
+    unit.fault.fsj * (1.0 + x[Cause::DynamicRatio as usize]) * (1.0 + x[Cause::HealthyFriction as usize])
 }
 
 /// Random units over a fault range.
@@ -224,10 +230,18 @@ impl Campaign {
             scores: Default::default(),
             misfits: vec![uncalibrated(COVERAGE).1],
             deviations: Vec::new(),
+            strips: Vec::new(),
+            kinetic: Vec::new(),
             surfaces: self.surfaces(set),
         };
         let diagnoser = Diagnoser::new(set.clone(), Some(calibration.clone()), COVERAGE, &Vec::new())?;
         score_all(&mut calibration, &scores(&diagnoser, &self.scores.0, &self.scores.1));
+        let kinetic = |(u, raw): (&Unit, &RawFeatures)| {
+            diagnoser.kinetic_score(&set.features(raw), kinetic_factor(&self.spread, u))
+        };
+        let tests = self.scores.0.iter().zip(&self.scores.1);
+        calibration.kinetic = tests.filter_map(kinetic).collect();
+        calibration.kinetic.sort_by(f64::total_cmp);
         Ok(calibration)
     }
 
@@ -312,11 +326,15 @@ pub(crate) fn score_all(calibration: &mut Calibration, scores: &[Score]) {
     calibration.misfits = sorted(|s| s.misfit);
     calibration.deviations = sorted(|s| s.deviation);
     let (gate, witness_gate) = (calibration.gate(), calibration.witness_gate());
+    let mut strips = Vec::with_capacity(scores.len());
     for s in scores {
         let refused = s.misfit > gate || s.deviation > witness_gate;
-        calibration.scores[s.quadrant].push(if refused { REFUSED_SCORE } else { s.reach });
+        let score = if refused { REFUSED_SCORE } else { s.reach };
+        calibration.scores[s.quadrant].push(score);
+        strips.push((s.fsj, score));
     }
     calibration.scores.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
+    calibration.in_strips(strips);
 }
 
 /// FSJ and zeta that maps reach over.

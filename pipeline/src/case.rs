@@ -442,6 +442,12 @@ pub fn to_text(case: &Case) -> String {
             line(format!("FSJ       {e:<8} in {lo} .. {hi}"));
             let [e, lo, hi] = three(a.centroid.1, a.zeta);
             line(format!("zeta      {e:<8} in {lo} .. {hi}"));
+            if let Some(k) = &d.kinetic {
+                let [e, lo, hi] = three(k.estimate, k.interval);
+                line(format!(
+                    "kinetic   {e:<8} in {lo} .. {hi} (dynamic friction over the healthy model's: FSJ times the unit's own ratio)"
+                ));
+            }
             if a.parts.len() > 1 {
                 for (k, p) in a.parts.iter().enumerate() {
                     let [f, f0, f1] = three(p.centroid.0, p.fsj);

@@ -175,6 +175,8 @@ pub fn calibrate(
         scores: Default::default(),
         misfits: vec![uncalibrated(COVERAGE).1],
         deviations: Vec::new(),
+        strips: Vec::new(),
+        kinetic: Vec::new(),
         surfaces: surfaces(&Diagnoser::bare_of_unit(set.clone()), &spread, &surface, &surface_raw),
     };
     let mut baseline = Baseline::fit(&kinds, &samples);

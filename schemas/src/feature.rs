@@ -51,7 +51,7 @@ raw_features! {
     EvenCurrent "even_current" "A" "root mean square over the places of the sine of the torque-giving current's part that does not turn round with the motion, its straight line over the place taken off",
     BiasCurrent "bias_current" "A" "mean of that part",
     KineticCurrent "kinetic_current" "A" "mean over the places of the sine of the torque-giving current's part that turns round with the motion",
-    SlowBreakAway "slow_break_away" "A" "greatest torque-giving current as the motor leaves the turning points of the slow cosine, mean of both directions",
+    SlowBreakAway "slow_break_away" "A" "greatest mean over 2 ms of the torque-giving current as the motor leaves the turning points of the slow cosine, mean of both directions",
     SlowKinetic "slow_kinetic" "A" "torque-giving current after it has left them, mean of both directions",
     SlowLag "slow_lag" "s" "from the turning points of the slow cosine's command until the motor leaves its own, mean of both directions",
     LegCurrent "leg_current" "A" "half the difference of the mean torque-giving currents of the lines there and back",

@@ -244,15 +244,20 @@ impl FeaturePlan {
     }
 
     fn windows(&self) -> impl Iterator<Item = Window> {
-        let of_all = [self.regime, self.sine, self.ramp, self.step, self.slow.map(|s| s.window)];
+        let of_all = [
+            self.regime,
+            self.sine,
+            self.ramp,
+            self.step,
+            self.slow.map(|s| s.window),
+        ];
         of_all.into_iter().flatten().chain(self.legs.into_iter().flatten())
     }
 
     /// Whether any of the samples `first..first + rows` matters to a feature.
     pub fn needs(&self, first: u64, rows: usize) -> bool {
         let last = first + rows as u64 - 1;
-        first == 1
-            || self.windows().any(|w| w.from <= last && first <= w.to)
+        first == 1 || self.windows().any(|w| w.from <= last && first <= w.to)
     }
 }
 
@@ -578,7 +583,9 @@ impl FeatureExtractor {
             Raw::SlowKinetic => reversals.map(|r| r.kinetic_a),
             Raw::SlowLag => reversals.map(|r| r.lag_s),
             Raw::LegCurrent => self.leg_current_a().filter(|_| suspect.late_s.is_none()),
-            Raw::Supply => whole(self.plan.regime, self.supply.1).then(|| self.supply.0 / self.supply.1 as f64).filter(|v| v.is_finite()),
+            Raw::Supply => whole(self.plan.regime, self.supply.1)
+                .then(|| self.supply.0 / self.supply.1 as f64)
+                .filter(|v| v.is_finite()),
         };
         let rest = self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU));
         RawFeatures::from_values(Raw::ALL.map(value), rest)

@@ -358,6 +358,8 @@ fn fleet(maps: &FailureMapSet) -> Calibration {
         scores: std::array::from_fn(|_| vec![2.0]),
         misfits: vec![10.0],
         deviations: Vec::new(),
+        strips: Vec::new(),
+        kinetic: Vec::new(),
         surfaces: Some(ResponseSurfaces::fit(Scale { fsj: FSJ, zeta: ZETA }, &samples)),
     }
 }

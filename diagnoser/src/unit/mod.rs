@@ -93,6 +93,7 @@ impl UnitCalibration {
         let mut c = self.common.clone();
         if let Some(s) = self.stratum(healthy) {
             c.scores = s.scores.clone();
+            c.strips.clear();
             c.misfits = s.misfits.clone();
             c.deviations = s.deviations.clone();
         }

@@ -97,6 +97,8 @@ fn calibration(scores: &[Score]) -> Calibration {
         scores: Default::default(),
         misfits: Vec::new(),
         deviations: Vec::new(),
+        strips: Vec::new(),
+        kinetic: Vec::new(),
         surfaces: None,
     };
     score_all(&mut c, scores);

@@ -6,7 +6,9 @@
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
 use ema_tests::coverage::defects::{self, Defect};
-use ema_tests::coverage::{FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick};
+use ema_tests::coverage::{
+    FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick,
+};
 use pipeline::calibrate::{Campaign, Effort};
 use schemas::feature::Feature;
 use std::fmt::Write;
@@ -14,7 +16,7 @@ use std::fmt::Write;
 const DEFECTS: usize = 200;
 const EFFORT: Effort = Effort {
     runs: 4096,
-    surface_runs: 1024,
+    surface_runs: 4096,
     seed: 0,
 };
 
@@ -234,9 +236,39 @@ fn of_both_sequences(cache: &std::path::Path, spread: &str, options: &Options) -
             let cases = judge(&diagnoser, &units, &measured);
             out += &record::coverage(&format!("{sequence}, {title}"), &cases);
             out += &record::thirds(&spread, &units, &cases);
+            out += &record::fifths(&cases);
+            let scores: Vec<_> = units
+                .iter()
+                .zip(&measured)
+                .filter_map(|(u, raw)| diagnoser.score(&diagnoser.maps.features(raw), u.fault.fsj, u.fault.zeta))
+                .collect();
+            for q in 0..4 {
+                let of = |k: usize, p: f64| quantile(scores.iter().filter(|s| s.quadrant == q).map(|s| s.each[k]), p);
+                let mis = quantile(scores.iter().filter(|s| s.quadrant == q).map(|s| s.misfit), 0.5);
+                let _ = writeln!(
+                    out,
+                    "scores q{q}: FSJ 50 {:.2} 90 {:.2} 95 {:.2} 97.5 {:.2}; zeta 50 {:.2} 90 {:.2} 95 {:.2} 97.5 {:.2}; misfit median {mis:.2}",
+                    of(0, 0.5),
+                    of(0, 0.9),
+                    of(0, 0.95),
+                    of(0, 0.975),
+                    of(1, 0.5),
+                    of(1, 0.9),
+                    of(1, 0.95),
+                    of(1, 0.975)
+                );
+            }
+            let _ = writeln!(
+                out,
+                "Reach by quadrant: {:?}\n",
+                [0, 1, 2, 3].map(|q| (1e3 * diagnoser.reach(q)).round() / 1e3)
+            );
             worth += &record::maps_row(&format!("{sequence}, {title}"), &cases);
         }
-        for f in Feature::FINER.into_iter().filter(|f| all.contains(f)) {
+        for f in Feature::FINER
+            .into_iter()
+            .filter(|f| all.contains(f) && !options.coverage_only)
+        {
             for more in [&[][..], &Feature::CAUSES] {
                 let left = [&[f], more].concat();
                 let names: Vec<&str> = left.iter().map(|f| f.name()).collect();

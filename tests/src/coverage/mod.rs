@@ -8,7 +8,7 @@ pub mod yardstick;
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::{COVERAGE, Diagnoser, Outcome};
 use diagnoser::failure_map::FailureMapSet;
-use pipeline::calibrate::{Campaign, Unit, draw_units, measure};
+use pipeline::calibrate::{Campaign, Unit, draw_units, kinetic_factor, measure};
 use pipeline::maps::{MapRequest, made};
 use schemas::feature::{Feature, RawFeatures};
 use sim_worker::catalogue;
@@ -58,11 +58,14 @@ pub struct Case {
     /// widths and errors (FSJ, zeta) where it was located
     pub found: Option<((f64, f64), (f64, f64))>,
     pub parts: usize,
+    /// relative width of the kinetic factor's interval, and whether it holds the true one
+    pub kinetic: Option<(f64, bool)>,
     pub contradicting: Vec<Feature>,
 }
 
 /// Diagnoses measured tests.
 pub fn judge(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) -> Vec<Case> {
+    let spread = diagnoser.calibration.as_ref().map_or_else(Spread::none, |c| c.spread());
     let one = |(u, raw): (&Unit, &RawFeatures)| {
         let d = diagnoser.diagnose(&diagnoser.maps.features(raw), &[]);
         let (fsj, zeta) = (u.fault.fsj, u.fault.zeta);
@@ -75,6 +78,10 @@ pub fn judge(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) ->
             found: area.map(|a| {
                 let width = (a.fsj.width(), a.zeta.width());
                 (width, (a.centroid.0 - fsj, a.centroid.1 - zeta))
+            }),
+            kinetic: d.kinetic.map(|k| {
+                let truth = kinetic_factor(&spread, u);
+                (k.interval.width() / truth, k.interval.contains(truth))
             }),
             parts: area.map_or(0, |a| a.parts.len()),
             contradicting: match d.outcome {

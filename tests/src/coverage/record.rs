@@ -47,6 +47,18 @@ pub fn coverage(title: &str, cases: &[Case]) -> String {
         w(0.5, |_, w| w.1),
         w(0.95, |_, w| w.1)
     );
+    let kinetic: Vec<(f64, bool)> = cases.iter().filter_map(|c| c.kinetic).collect();
+    if !kinetic.is_empty() {
+        let inside = kinetic.iter().filter(|k| k.1).count();
+        let width = |q| 100.0 * quantile(kinetic.iter().map(|k| k.0), q);
+        let _ = writeln!(
+            out,
+            "- kinetic factor: true one in its interval {} %, width, median (95th percentile): {:.3} % ({:.3} %)",
+            percent(inside, kinetic.len()),
+            width(0.5),
+            width(0.95)
+        );
+    }
     for (name, least) in [("all", 0.0), ("zeta > 0.03", 0.03)] {
         let e = |q, f: fn(&Case, (f64, f64)) -> f64| {
             quantile(
@@ -69,19 +81,50 @@ pub fn coverage(title: &str, cases: &[Case]) -> String {
 
 /// Coverage and width in each third of each cause of a spread.
 pub fn thirds(spread: &Spread, units: &[Unit], cases: &[Case]) -> String {
-    let mut out = String::from("| cause | low third % | middle % | high third % | widths FSJ |\n|---|---|---|---|---|\n");
+    let mut out =
+        String::from("| cause | low third % | middle % | high third % | widths FSJ |\n|---|---|---|---|---|\n");
     for (cause, _) in spread.causes() {
         let third = |u: &Unit| (((u.draw[cause as usize] + 1.0) * 1.5) as usize).min(2);
         let mut widths = Vec::new();
         let _ = write!(out, "| {} |", cause.title());
         for k in 0..3 {
-            let of: Vec<&Case> = units.iter().zip(cases).filter(|(u, _)| third(u) == k).map(|(_, c)| c).collect();
+            let of: Vec<&Case> = units
+                .iter()
+                .zip(cases)
+                .filter(|(u, _)| third(u) == k)
+                .map(|(_, c)| c)
+                .collect();
             let inside = of.iter().filter(|c| c.inside).count();
             let _ = write!(out, " {} |", percent(inside, of.len()));
             let width = quantile(of.iter().filter_map(|c| Some(100.0 * c.found?.0.0 / c.fsj)), 0.5);
             widths.push(format!("{width:.2}"));
         }
         let _ = writeln!(out, " {} |", widths.join(", "));
+    }
+    out + "\n"
+}
+
+/// Coverage, width and error in each fifth of the range of FSJ.
+pub fn fifths(cases: &[Case]) -> String {
+    let mut out = String::from(
+        "| FSJ | truth inside % | width FSJ, median | twice the error of 95 % | width zeta | twice its error of 95 % |\n|---|---|---|---|---|---|\n",
+    );
+    let fifth = |c: &Case| (((c.fsj - 1.0) / 0.8) as usize).min(4);
+    for k in 0..5 {
+        let of: Vec<Case> = cases.iter().filter(|c| fifth(c) == k).cloned().collect();
+        let inside = of.iter().filter(|c| c.inside).count();
+        let q = |q: f64, f: fn((&Case, (f64, f64), (f64, f64))) -> f64| quantile(located(&of).map(f), q);
+        let _ = writeln!(
+            out,
+            "| {:.1} to {:.1} | {} | {:.2} % | {:.2} % | {:.5} | {:.5} |",
+            1.0 + 0.8 * k as f64,
+            1.8 + 0.8 * k as f64,
+            percent(inside, of.len()),
+            q(0.5, |(c, w, _)| 100.0 * w.0 / c.fsj),
+            q(0.95, |(c, _, e)| 200.0 * (e.0 / c.fsj).abs()),
+            q(0.5, |(_, w, _)| w.1),
+            q(0.95, |(_, _, e)| 2.0 * e.1.abs()),
+        );
     }
     out + "\n"
 }

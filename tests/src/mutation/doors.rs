@@ -286,6 +286,8 @@ fn calibrations(maps: &Path, dir: &Path) -> Vec<PathBuf> {
         scores: [reach.clone(), reach.clone(), reach.clone(), reach],
         misfits: gate.clone(),
         deviations: gate,
+        strips: Vec::new(),
+        kinetic: Vec::new(),
         surfaces: None,
     };
     let path = dir.join("calibration").join("calibration-none.json");
