@@ -392,16 +392,17 @@ mod tests {
     #[test]
     fn prop_names_and_numbers_of_files_and_messages_stay() {
         let keys = "p1_rad_per_s p2_a p3 ripple_rad_per_s speed_loss_rad_per_s rise_s current_rms_a sine_travel_rad \
-                    current_sum_a current_imbalance even_current_a bias_current_a p3_rad kinetic_current_a";
+                    current_sum_a current_imbalance even_current_a bias_current_a p3_rad kinetic_current_a \
+                    slow_break_away_a slow_kinetic_a slow_lag_s leg_current_a supply_v";
         assert_eq!(Feature::TABLE.map(Feature::key).join(" "), keys);
         let columns = "mean_speed_sd_rad_per_s ripple_sd_rad_per_s p2_sd_a p3_sd_rad rise_sd_s current_rms_sd_a \
                        sine_travel_sd_rad current_sum_sd_a current_imbalance_sd even_current_sd_a bias_current_sd_a \
-                       kinetic_current_sd_a";
+                       kinetic_current_sd_a slow_break_away_sd_a slow_kinetic_sd_a slow_lag_sd_s leg_current_sd_a supply_sd_v";
         assert_eq!(RawFeatures::DEVIATIONS.join(" "), columns);
         assert_eq!(RawFeatures::COLUMNS.join(" "), columns.replace("_sd", ""));
         assert_eq!((Feature::ALL.len(), Feature::WITNESSES.len()), (7, 5));
         let all = Feature::every().map(|f| f as usize);
-        assert!(all.eq((0..12).chain([13])));
+        assert!(all.eq((0..12).chain(13..19)));
         assert_eq!(Feature::TOLD.map(|f| f as usize).to_vec(), (0..13).collect::<Vec<_>>());
         assert_eq!(Feature::P1.parts(), Some([Feature::SpeedLoss, Feature::Ripple]));
         assert!(Feature::TABLE[1..].iter().all(|f| f.parts().is_none()));

@@ -33,6 +33,7 @@ pub mod stream;
 use schemas::channel::Channel;
 use schemas::fault::FaultState;
 use schemas::telemetry::Collector;
+use sim_worker::extractor::FeaturePlan;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::simulate::{Experiment, Run, simulate};
 use sim_worker::test_bench::Lane;
@@ -68,7 +69,7 @@ pub fn programs(dir: &Path, programs: &[(&str, &str)]) {
     }
 }
 
-/// One run of the reference actuator, noise free, basic channels.
+/// One run of the reference actuator, noise free, basic channels and those that features of the sequence come from.
 pub fn reference_run(fsj: f64, zeta: f64, sequence: &str, rate_hz: f64) -> Collector {
     reference_runs(&[(fsj, zeta)], sequence, rate_hz).remove(0)
 }
@@ -77,7 +78,10 @@ pub fn reference_run(fsj: f64, zeta: f64, sequence: &str, rate_hz: f64) -> Colle
 pub fn reference_runs(faults: &[(f64, f64)], sequence: &str, rate_hz: f64) -> Vec<Collector> {
     let actuator = Arc::new(ActuatorParameters::reference());
     let sequence = sim_worker::catalogue::sequence(sequence).unwrap();
-    let channels = schemas::channel::ChannelSet::basic();
+    let wanted = FeaturePlan::wanted_of(&sequence, false);
+    let channels = wanted
+        .iter()
+        .fold(schemas::channel::ChannelSet::basic(), |all, c| all.with(c));
     let e = Experiment::new(sequence, rate_hz, channels, None, actuator.step_s).unwrap();
     let runs: Vec<Run> = faults
         .iter()

@@ -13,7 +13,7 @@ use sim_worker::dataset::tables::Table;
 use std::path::Path;
 
 /// Raw features that version 0.1 did not have.
-const NEW: usize = 1;
+const NEW: usize = 6;
 
 fn fixture() -> Value {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/bits_0.1.json");

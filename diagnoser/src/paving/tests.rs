@@ -36,7 +36,7 @@ fn hull(p: &Part) -> Limits {
     Limits { f, z }
 }
 
-fn lattice_of(f: Vec<f64>, z: Vec<f64>, m: impl Fn(f64, f64) -> Row, directions: [(f64, f64); 8]) -> Lattice {
+fn lattice_of(f: Vec<f64>, z: Vec<f64>, m: impl Fn(f64, f64) -> Row, directions: [(f64, f64); MOST]) -> Lattice {
     let nodes = z
         .iter()
         .flat_map(|&z| f.iter().map(move |&f| (f, z)))
@@ -49,8 +49,8 @@ fn lattice_of(f: Vec<f64>, z: Vec<f64>, m: impl Fn(f64, f64) -> Row, directions:
 fn random_lattice(rng: &mut Rng, spread: f64) -> Lattice {
     let (f, z) = (rng.axis(9, 0.2), rng.axis(11, -0.3));
     let common = rng.sign();
-    let mut directions = [(1.0, 1.0); 8];
-    let mut shape = [[0.0; 3]; 8];
+    let mut directions = [(1.0, 1.0); MOST];
+    let mut shape = [[0.0; 3]; MOST];
     for i in 0..6 {
         let s = rng.sign();
         directions[i] = (s, if spread < 1.0 { s * common } else { rng.sign() });
@@ -72,7 +72,7 @@ fn random_lattice(rng: &mut Rng, spread: f64) -> Lattice {
 
 /// A joint that holds at (f, z), its region about `size` across.
 fn random_joint(rng: &mut Rng, lattice: &Lattice, (f, z): (f64, f64), size: f64) -> Joint {
-    let mut w = [[0.0; 8]; 8];
+    let mut w = [[0.0; MOST]; MOST];
     for (k, row) in w.iter_mut().enumerate().take(6) {
         for (i, x) in row.iter_mut().enumerate().take(6) {
             *x = (rng.between(-0.5, 0.5) + if i == k { 1.5 } else { 0.0 }) / size;
@@ -106,14 +106,20 @@ fn inside(span: Span, x: f64, slack: f64) -> bool {
 }
 
 /// Checks the paving against point samples; `dense` asks for tolerances met. Returns it with the members sampled.
-fn check(lattice: &Lattice, joint: &Joint, bands: &[Span; 8], domain: Limits, dense: bool) -> (Option<Paving>, usize) {
+fn check(
+    lattice: &Lattice,
+    joint: &Joint,
+    bands: &[Span; MOST],
+    domain: Limits,
+    dense: bool,
+) -> (Option<Paving>, usize) {
     let paving = Paver::new().pave(lattice, joint, bands, &domain, &Goal::default());
     // Members by a relative margin of 1e-9: -1 surely not, 0 too close to say, 1 surely.
     let member = |f: f64, z: f64| {
         let m = lattice.at(f, z);
         let test = |slack: f64| {
             joint.misfit(&m) <= joint.threshold * (1.0 + slack)
-                && (0..8).all(|i| inside(bands[i], m[i], slack * (1.0 + m[i].abs())))
+                && (0..MOST).all(|i| inside(bands[i], m[i], slack * (1.0 + m[i].abs())))
         };
         i32::from(test(-1e-9)) + i32::from(test(1e-9)) - 1
     };
@@ -202,7 +208,7 @@ fn prop_random_sets_lie_between_inner_and_outer() {
         );
         let size = 10f64.powf(rng.between(-3.0, 0.0));
         let joint = random_joint(&mut rng, &lattice, at, size);
-        let mut bands = [FREE; 8];
+        let mut bands = [FREE; MOST];
         if case % 3 == 1 {
             // The domain's edge cuts the region, off the lattice lines.
             domain = Limits {
@@ -234,25 +240,25 @@ fn prop_slivers() {
         let domain = everything(&lattice);
         let at = (lerp(domain.f, 0.5), lerp(domain.z, 0.5));
         let joint = random_joint(&mut rng, &lattice, at, 0.02);
-        check(&lattice, &joint, &[FREE; 8], domain, false);
+        check(&lattice, &joint, &[FREE; MOST], domain, false);
     }
 }
 
 /// M0 = FSJ and M1 = -zeta, so that Q is an exact ellipse.
 fn plain() -> Lattice {
-    let mut directions = [(1.0, 1.0); 8];
+    let mut directions = [(1.0, 1.0); MOST];
     directions[1] = (1.0, -1.0);
     let mut rng = Rng(3);
     lattice_of(
         rng.axis(20, 0.0),
         rng.axis(20, 0.0),
-        |f, z| [f, -z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        |f, z| [f, -z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         directions,
     )
 }
 
 fn ellipse(f: f64, z: f64, a: f64, b: f64) -> Joint {
-    let (mut w, mut offset) = ([[0.0; 8]; 8], [0.0; 8]);
+    let (mut w, mut offset) = ([[0.0; MOST]; MOST], [0.0; MOST]);
     (w[0][0], w[1][1]) = (1.0 / a, 1.0 / b);
     (offset[0], offset[1]) = (f / a, -z / b);
     Joint {
@@ -274,7 +280,7 @@ fn prop_ellipse_has_its_area_hull_and_centroid() {
             .pave(
                 &lattice,
                 &ellipse(f, z, a, b),
-                &[FREE; 8],
+                &[FREE; MOST],
                 &everything(&lattice),
                 &Goal::default(),
             )
@@ -304,14 +310,14 @@ fn prop_empty_sets_are_proved_empty() {
     for _ in 0..30 {
         let mut joint = random_joint(&mut rng, &lattice, (0.6, 0.2), 0.01);
         joint.offset[2] += 40.0;
-        let (paving, found) = check(&lattice, &joint, &[FREE; 8], domain, true);
+        let (paving, found) = check(&lattice, &joint, &[FREE; MOST], domain, true);
         assert!(paving.is_none() && found == 0);
         joint = random_joint(&mut rng, &lattice, (0.6, 0.2), 0.01);
-        let mut bands = [FREE; 8];
+        let mut bands = [FREE; MOST];
         bands[3] = (1e3, 1e4);
         assert!(check(&lattice, &joint, &bands, domain, true).0.is_none());
         joint.threshold = -1.0;
-        assert!(check(&lattice, &joint, &[FREE; 8], domain, true).0.is_none());
+        assert!(check(&lattice, &joint, &[FREE; MOST], domain, true).0.is_none());
     }
 }
 
@@ -324,14 +330,14 @@ fn prop_two_parts_are_told_apart() {
         let lattice = lattice_of(
             axes.0,
             axes.1,
-            |f, z| [f + z, f * f + z * z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            [(1.0, 1.0); 8],
+            |f, z| [f + z, f * f + z * z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            [(1.0, 1.0); MOST],
         );
         let (f, z) = (rng.between(0.1, 0.25), rng.between(0.6, 0.7));
         let mut joint = ellipse(0.0, 0.0, 0.01, 0.01);
         let m = lattice.at(f, z);
         (joint.offset[0], joint.offset[1]) = (m[0] / 0.01, m[1] / 0.01);
-        let p = check(&lattice, &joint, &[FREE; 8], everything(&lattice), true)
+        let p = check(&lattice, &joint, &[FREE; MOST], everything(&lattice), true)
             .0
             .expect("a set");
         let big: Vec<&Part> = p.parts.iter().filter(|p| p.inner > 0.0).collect();
@@ -352,7 +358,7 @@ fn prop_sets_thinner_than_a_box_are_enclosed() {
         ..ellipse(0.41, 0.37, 0.01, 0.01)
     };
     let p = Paver::new()
-        .pave(&lattice, &point, &[FREE; 8], &everything(&lattice), &Goal::default())
+        .pave(&lattice, &point, &[FREE; MOST], &everything(&lattice), &Goal::default())
         .expect("a point");
     let h = hull(&p.whole);
     assert!(inside(h.f, 0.41, 0.0) && inside(h.z, 0.37, 0.0) && h.f.1 - h.f.0 < 1e-4 && h.z.1 - h.z.0 < 1e-4);
@@ -366,13 +372,13 @@ fn prop_sets_thinner_than_a_box_are_enclosed() {
     let lattice = lattice_of(
         vec![0.0, 0.4, 1.0],
         vec![0.0, 0.7, 1.0],
-        |f, z| [f + z; 8],
-        [(1.0, 1.0); 8],
+        |f, z| [f + z; MOST],
+        [(1.0, 1.0); MOST],
     );
     let mut joint = ellipse(0.0, 0.0, 1e-9, 1.0);
-    joint.w[1] = [0.0; 8];
+    joint.w[1] = [0.0; MOST];
     joint.offset[0] = 1e9;
-    let p = check(&lattice, &joint, &[FREE; 8], everything(&lattice), false)
+    let p = check(&lattice, &joint, &[FREE; MOST], everything(&lattice), false)
         .0
         .expect("a line");
     assert!(hull(&p.whole).f == (0.0, 1.0) && hull(&p.whole).z == (0.0, 1.0) && p.parts.len() == 1);
@@ -383,12 +389,12 @@ fn prop_sets_thinner_than_a_box_are_enclosed() {
 fn prop_bands_alone() {
     let mut rng = Rng(8);
     let free = Joint {
-        w: [[0.0; 8]; 8],
-        offset: [0.0; 8],
+        w: [[0.0; MOST]; MOST],
+        offset: [0.0; MOST],
         threshold: f64::INFINITY,
     };
     let lattice = plain();
-    let mut bands = [FREE; 8];
+    let mut bands = [FREE; MOST];
     (bands[0], bands[1]) = ((0.213, 0.507), (-0.611, f64::INFINITY));
     let p = check(&lattice, &free, &bands, everything(&lattice), true)
         .0
@@ -411,7 +417,7 @@ fn prop_bands_alone() {
         assert!(paving.is_some() && found > 0);
     }
     let all = Paver::new()
-        .pave(&lattice, &free, &[FREE; 8], &everything(&lattice), &Goal::default())
+        .pave(&lattice, &free, &[FREE; MOST], &everything(&lattice), &Goal::default())
         .expect("all");
     assert!(hull(&all.whole) == everything(&lattice) && all.area_gap == 0.0);
 }
@@ -436,7 +442,8 @@ fn prop_lattice_is_made_monotone_and_checked() {
             }
         }
     }
-    let bad = |f: Vec<f64>, n: usize| Lattice::new(f, vec![0.0, 1.0], vec![[0.0; 8]; n], [(1.0, 1.0); 8]).is_err();
+    let bad =
+        |f: Vec<f64>, n: usize| Lattice::new(f, vec![0.0, 1.0], vec![[0.0; MOST]; n], [(1.0, 1.0); MOST]).is_err();
     assert!(bad(vec![0.0, 0.0], 4) && bad(vec![0.0], 2) && bad(vec![0.0, 1.0], 3) && bad(vec![0.0, f64::NAN], 4));
     assert!(!bad(vec![0.0, 1.0], 4));
 }

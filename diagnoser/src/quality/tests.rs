@@ -3,7 +3,7 @@
 use super::*;
 use crate::calibration::{COVERAGE, Calibration};
 use crate::failure_map::{FailureMap, FailureMapSet, MapSetHeader};
-use crate::uncertainty::{ResponseSurfaces, Sample, Scale};
+use crate::uncertainty::{MOST, ResponseSurfaces, Sample, Scale};
 use schemas::feature::RawFeatures;
 use sim_worker::spread::{Cause, Spread};
 use std::f64::consts::PI;
@@ -60,7 +60,7 @@ fn left_by(q: &MapQuality, remedy: Remedy) -> &Candidate {
 #[test]
 fn prop_a_map_too_many_is_refused_by_name_and_what_has_parts_does_not_count() {
     let maps = |n: usize| vec![map(Feature::P2, 0.01, 0.0, |f, z| f + z); n];
-    let mut many = set(maps(8));
+    let mut many = set(maps(MOST));
     assert!(many.check("test").is_ok());
     for feature in [Feature::Ripple, Feature::SpeedLoss, Feature::P1] {
         let direction = feature.direction();
@@ -70,13 +70,13 @@ fn prop_a_map_too_many_is_refused_by_name_and_what_has_parts_does_not_count() {
     let e = Diagnoser::new(many.clone(), None, COVERAGE, &Vec::new())
         .unwrap_err()
         .to_string();
-    assert!(e.contains("ripple") && e.contains("8 at most"), "{e}");
+    assert!(e.contains("ripple") && e.contains(&format!("{MOST} at most")), "{e}");
     many.maps.drain(..2);
     // P1 says nothing that its parts do not
     let joint: Vec<Feature> = many.joint().map(|m| m.feature).collect();
-    assert_eq!(joint[6..], [Feature::Ripple, Feature::SpeedLoss]);
+    assert_eq!(joint[MOST - 2..], [Feature::Ripple, Feature::SpeedLoss]);
     assert!(many.check("test").is_ok());
-    many.witnesses = maps(9);
+    many.witnesses = maps(MOST + 1);
     assert!(many.check("test").is_err());
 }
 
