@@ -160,8 +160,6 @@ impl Outcome {
 pub struct Score {
     /// how far its area must reach so that the intervals hold the true pair, in standard uncertainties
     pub reach: f64,
-    /// the same for the interval of each fault alone
-    pub each: [f64; 2],
     /// `Q` of the best pair
     pub misfit: f64,
     /// greatest deviation of a witness, in standard uncertainties
@@ -668,12 +666,10 @@ impl Diagnoser {
     pub fn score(&self, features: &Features, fsj: f64, zeta: f64) -> Option<Score> {
         let values = self.whole(features)?;
         let best = self.estimator.best(&values, self.gate)?;
-        let (at_fsj, at_zeta) = self.estimator.profile(&values, &best, fsj, zeta);
-        let each = [at_fsj, at_zeta].map(|q| (q - best.misfit).max(0.0).sqrt());
+        let profile = self.estimator.profile(&values, &best, fsj, zeta);
         let witnesses = self.estimator.witnesses(features, &best);
         Some(Score {
-            reach: each[0].max(each[1]),
-            each,
+            reach: (profile - best.misfit).max(0.0).sqrt(),
             misfit: best.misfit,
             deviation: witnesses.iter().fold(0.0, |a, w| a.max(w.3.abs())),
             quadrant: self.estimator.quadrant(best.fsj, best.zeta),

@@ -591,8 +591,8 @@ impl Estimator {
     }
 
     /// The smallest misfit, with the covariance of `best`, on the line of one fault through a pair and on
-    /// that of the other.
-    pub fn profile(&self, values: &Row, best: &Estimate, fsj: f64, zeta: f64) -> (f64, f64) {
+    /// that of the other; the greater of the two.
+    pub fn profile(&self, values: &Row, best: &Estimate, fsj: f64, zeta: f64) -> f64 {
         let Limits { f, z } = self.limits;
         let along = |lines: &[f64], (lo, hi): (f64, f64), pair: &dyn Fn(f64) -> (f64, f64)| {
             let inner = lines.iter().copied().filter(|x| lo < *x && *x < hi);
@@ -614,7 +614,7 @@ impl Estimator {
         // between two lines of the lattice the residual changes straight
         let at_fsj = along(&self.lattice.zeta, z, &|x| (fsj, x));
         let at_zeta = along(&self.lattice.fsj, f, &|x| (x, zeta));
-        (at_fsj, at_zeta)
+        at_fsj.max(at_zeta)
     }
 }
 

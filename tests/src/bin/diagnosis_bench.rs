@@ -237,27 +237,6 @@ fn of_both_sequences(cache: &std::path::Path, spread: &str, options: &Options) -
             out += &record::coverage(&format!("{sequence}, {title}"), &cases);
             out += &record::thirds(&spread, &units, &cases);
             out += &record::fifths(&cases);
-            let scores: Vec<_> = units
-                .iter()
-                .zip(&measured)
-                .filter_map(|(u, raw)| diagnoser.score(&diagnoser.maps.features(raw), u.fault.fsj, u.fault.zeta))
-                .collect();
-            for q in 0..4 {
-                let of = |k: usize, p: f64| quantile(scores.iter().filter(|s| s.quadrant == q).map(|s| s.each[k]), p);
-                let mis = quantile(scores.iter().filter(|s| s.quadrant == q).map(|s| s.misfit), 0.5);
-                let _ = writeln!(
-                    out,
-                    "scores q{q}: FSJ 50 {:.2} 90 {:.2} 95 {:.2} 97.5 {:.2}; zeta 50 {:.2} 90 {:.2} 95 {:.2} 97.5 {:.2}; misfit median {mis:.2}",
-                    of(0, 0.5),
-                    of(0, 0.9),
-                    of(0, 0.95),
-                    of(0, 0.975),
-                    of(1, 0.5),
-                    of(1, 0.9),
-                    of(1, 0.95),
-                    of(1, 0.975)
-                );
-            }
             let _ = writeln!(
                 out,
                 "Reach by quadrant: {:?}\n",

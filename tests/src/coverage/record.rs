@@ -8,6 +8,9 @@ use sim_worker::spread::Spread;
 use std::fmt::Write;
 use std::time::Instant;
 
+/// Of FSJ and zeta.
+type Pair = (f64, f64);
+
 fn located(cases: &[Case]) -> impl Iterator<Item = (&Case, (f64, f64), (f64, f64))> {
     cases.iter().filter_map(|c| c.found.map(|(w, e)| (c, w, e)))
 }
@@ -113,17 +116,17 @@ pub fn fifths(cases: &[Case]) -> String {
     for k in 0..5 {
         let of: Vec<Case> = cases.iter().filter(|c| fifth(c) == k).cloned().collect();
         let inside = of.iter().filter(|c| c.inside).count();
-        let q = |q: f64, f: fn((&Case, (f64, f64), (f64, f64))) -> f64| quantile(located(&of).map(f), q);
+        let q = |q: f64, f: fn(&Case, Pair, Pair) -> f64| quantile(located(&of).map(|(c, w, e)| f(c, w, e)), q);
         let _ = writeln!(
             out,
             "| {:.1} to {:.1} | {} | {:.2} % | {:.2} % | {:.5} | {:.5} |",
             1.0 + 0.8 * k as f64,
             1.8 + 0.8 * k as f64,
             percent(inside, of.len()),
-            q(0.5, |(c, w, _)| 100.0 * w.0 / c.fsj),
-            q(0.95, |(c, _, e)| 200.0 * (e.0 / c.fsj).abs()),
-            q(0.5, |(_, w, _)| w.1),
-            q(0.95, |(_, _, e)| 2.0 * e.1.abs()),
+            q(0.5, |c, w, _| 100.0 * w.0 / c.fsj),
+            q(0.95, |c, _, e| 200.0 * (e.0 / c.fsj).abs()),
+            q(0.5, |_, w, _| w.1),
+            q(0.95, |_, _, e| 2.0 * e.1.abs()),
         );
     }
     out + "\n"
