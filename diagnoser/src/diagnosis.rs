@@ -185,6 +185,8 @@ pub struct Diagnoser {
     reaches: Vec<(f64, f64)>,
     gate: f64,
     witness_gate: f64,
+    /// how far the interval of the kinetic factor reaches, where units differ in it
+    kinetic_reach: Option<f64>,
 }
 
 impl Diagnoser {
@@ -245,6 +247,7 @@ impl Diagnoser {
                 ([reach; 4], gate)
             }
         };
+        let kinetic_reach = calibration.as_ref().and_then(|c| c.kinetic_reach(coverage));
         let reaches = calibration.as_ref().map_or(Vec::new(), |c| c.reaches(coverage));
         let witness_gate = calibration.as_ref().map_or(WITNESS_GATE, Calibration::witness_gate);
         Self {
@@ -256,6 +259,7 @@ impl Diagnoser {
             reaches,
             gate,
             witness_gate,
+            kinetic_reach,
         }
     }
 
@@ -350,13 +354,16 @@ impl Diagnoser {
         Some(self.estimator.factors_given(&values, &best, wider))
     }
 
-    /// The joint features of a test that lacks none.
+    /// The joint features of a test that lacks none but what says a cause.
     fn whole(&self, features: &Features) -> Option<Row> {
-        let mut values: Row = [f64::NAN; MOST];
-        for (v, f) in values.iter_mut().zip(self.estimator.features()) {
-            *v = features.get(*f).filter(|v| v.is_finite())?;
-        }
-        Some(values)
+        let values = self.row(features);
+        let there = |(f, v): (&Feature, &f64)| v.is_finite() || Feature::CAUSES.contains(f);
+        self.estimator
+            .features()
+            .iter()
+            .zip(&values)
+            .all(there)
+            .then_some(values)
     }
 
     /// Covariance of the joint features at a fault pair, by its parts.
@@ -405,13 +412,11 @@ impl Diagnoser {
     /// * `features` measured, over the maps' nominal run
     /// * `missing` what the telemetry lacks, in words; empty if nothing
     pub fn diagnose(&self, features: &Features, missing: &[String]) -> Diagnosis {
-        let mut misfit = None;
-        let outcome = self.outcome(features, missing, &mut misfit);
+        let (mut misfit, mut kinetic) = (None, None);
+        let outcome = self.outcome(features, missing, &mut misfit, &mut kinetic);
         Diagnosis {
-            kinetic: matches!(outcome, Outcome::Located(_))
-                .then(|| self.kinetic(features))
-                .flatten(),
             outcome,
+            kinetic,
             features: *features,
             coverage: self.coverage,
             calibrated: self.calibration.is_some(),
@@ -419,9 +424,9 @@ impl Diagnoser {
         }
     }
 
-    fn kinetic(&self, features: &Features) -> Option<Kinetic> {
-        let reach = self.calibration.as_ref()?.kinetic_reach(self.coverage)?;
-        let (estimate, sd) = self.kinetic_of(features)?;
+    fn kinetic(&self, values: &Row, best: &Estimate) -> Option<Kinetic> {
+        let reach = self.kinetic_reach?;
+        let (estimate, sd) = self.estimator.kinetic(values, best)?;
         let interval = Interval {
             lo: estimate - reach * sd,
             hi: estimate + reach * sd,
@@ -429,30 +434,33 @@ impl Diagnoser {
         Some(Kinetic { interval, estimate })
     }
 
-    /// Kinetic factor and its standard uncertainty.
-    fn kinetic_of(&self, features: &Features) -> Option<(f64, f64)> {
+    /// How far the kinetic factor of a test lies from its estimate, in standard uncertainties; `None` where units do not
+    /// differ in it.
+    pub fn kinetic_score(&self, features: &Features, truth: f64) -> Option<f64> {
+        let values = self.whole(features)?;
+        let best = self.estimator.best(&values, self.gate)?;
+        let (estimate, sd) = self.estimator.kinetic(&values, &best)?;
+        Some((truth - estimate).abs() / sd)
+    }
+
+    /// The joint features of a test; not a number where one is missing.
+    fn row(&self, features: &Features) -> Row {
         let mut values: Row = [f64::NAN; MOST];
         for (v, f) in values.iter_mut().zip(self.estimator.features()) {
             *v = features.get(*f).unwrap_or(f64::NAN);
         }
-        let best = self.estimator.best(&values, self.gate)?;
-        self.estimator.kinetic(&values, &best)
+        values
     }
 
-    /// How far the kinetic factor of a test lies from its estimate, in standard uncertainties; `None` where units do not
-    /// differ in it.
-    pub fn kinetic_score(&self, features: &Features, truth: f64) -> Option<f64> {
-        self.whole(features)?;
-        let (estimate, sd) = self.kinetic_of(features)?;
-        Some((truth - estimate).abs() / sd)
-    }
-
-    fn outcome(&self, features: &Features, missing: &[String], misfit: &mut Option<f64>) -> Outcome {
+    fn outcome(
+        &self,
+        features: &Features,
+        missing: &[String],
+        misfit: &mut Option<f64>,
+        kinetic: &mut Option<Kinetic>,
+    ) -> Outcome {
         let joint = self.estimator.features();
-        let mut values: Row = [f64::NAN; MOST];
-        for (v, f) in values.iter_mut().zip(joint) {
-            *v = features.get(*f).unwrap_or(f64::NAN);
-        }
+        let values = self.row(features);
         let known = values.iter().filter(|v| v.is_finite()).count();
         // a test may lack what says a cause: then it is as unknown as without
         let unsaid = |(f, v): (&Feature, &f64)| Feature::CAUSES.contains(f) && v.is_nan();
@@ -489,7 +497,10 @@ impl Diagnoser {
                 return outcome;
             }
             return match self.area_about(&values, &best) {
-                Some(area) => Outcome::Located(area),
+                Some(area) => {
+                    *kinetic = self.kinetic(&values, &best);
+                    Outcome::Located(area)
+                }
                 None => self.outside(&best),
             };
         }

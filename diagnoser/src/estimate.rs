@@ -510,15 +510,20 @@ impl Estimator {
         };
         let (maps, by_f, by_z) = self.lattice.with_slopes(best.fsj, best.zeta);
         let own = self.variance(best.fsj, best.zeta);
+        // what a test lacks says nothing
+        let here = |i: usize| values[i].is_finite();
         // faults that nobody knows: a variance far beyond any other
         let faults = [(by_f, self.limits.f), (by_z, self.limits.z)];
         let c = DMatrix::from_fn(n, n, |i, j| {
             let far = |(by, (lo, hi)): &(Row, (f64, f64))| 1e2 * by[i] * by[j] * (hi - lo) * (hi - lo);
+            if !(here(i) && here(j)) {
+                return if i == j { own[i] } else { 0.0 };
+            }
             let scatter = self.correlation[i][j] * (own[i] * own[j]).sqrt();
             wider * scatter + faults.iter().map(far).sum::<f64>()
         });
-        let slopes = DMatrix::from_fn(n, causes, |i, k| s.slopes[k][i]);
-        let left = DVector::from_fn(n, |i, _| values[i] - s.shift[i] - maps[i]);
+        let slopes = DMatrix::from_fn(n, causes, |i, k| if here(i) { s.slopes[k][i] } else { 0.0 });
+        let left = DVector::from_fn(n, |i, _| if here(i) { values[i] - s.shift[i] - maps[i] } else { 0.0 });
         // by the size of each feature, so that the matrix can be inverted
         let size = DVector::from_fn(n, |i, _| own[i].sqrt().max(1e-300));
         let c = DMatrix::from_fn(n, n, |i, j| c[(i, j)] / (size[i] * size[j]));

@@ -117,9 +117,9 @@ fn mapped_file(address: usize) -> String {
 #[test]
 fn prop_no_copy_and_no_allocation_per_frame() {
     let domain = TestDomain::default();
-    let telemetry = reference_run(2.0, 0.2, "preflight", 10_000.0);
+    let telemetry = reference_run(2.0, 0.2, "preflight2", 10_000.0);
     let actuator = Arc::new(ActuatorParameters::reference());
-    let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
+    let sequence = sim_worker::catalogue::sequence("preflight2").unwrap();
     let about = RunDescription {
         actuator: "rig".into(),
         parameters: actuator.fingerprint(),

@@ -6,10 +6,12 @@
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
 use ema_tests::coverage::defects::{self, Defect};
+use ema_tests::coverage::other_hand;
 use ema_tests::coverage::{
     FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick,
 };
-use pipeline::calibrate::{Campaign, Effort};
+use ema_tests::independent;
+use pipeline::calibrate::{Campaign, Effort, draw_units};
 use schemas::feature::Feature;
 use std::fmt::Write;
 
@@ -226,6 +228,19 @@ fn of_both_sequences(cache: &std::path::Path, spread: &str, options: &Options) -
         }
         let campaign = Campaign::run(&setup, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
         let (units, measured) = fresh(&setup, &spread, options.tests, options.seed)?;
+        let command = match sequence {
+            "preflight" => independent::Command::Preflight,
+            _ => independent::Command::Preflight2,
+        };
+        let others = draw_units(
+            FSJ,
+            ZETA,
+            &spread,
+            options.tests / 4,
+            0xA407_0000_0000_0000 ^ options.seed,
+        );
+        let features = other_hand::measure(&setup, &spread, &others, &command);
+        let others = (others, features);
         let all: Vec<Feature> = set.maps.iter().map(|m| m.feature).collect();
         let without = |left: &[Feature]| all.iter().copied().filter(|f| !left.contains(f)).collect::<Vec<_>>();
         for (title, left) in [("supply recorded", &[][..]), ("supply not recorded", &Feature::CAUSES)] {
@@ -243,6 +258,10 @@ fn of_both_sequences(cache: &std::path::Path, spread: &str, options: &Options) -
                 [0, 1, 2, 3].map(|q| (1e3 * diagnoser.reach(q)).round() / 1e3)
             );
             worth += &record::maps_row(&format!("{sequence}, {title}"), &cases);
+            let (units, measured) = &others;
+            let cases = judge(&diagnoser, units, measured);
+            out += &record::coverage(&format!("{sequence}, {title}, simulated by another hand"), &cases);
+            worth += &record::maps_row(&format!("{sequence}, {title}, simulated by another hand"), &cases);
         }
         for f in Feature::FINER
             .into_iter()

@@ -2,6 +2,7 @@
 //! have seen.
 
 pub mod defects;
+pub mod other_hand;
 pub mod record;
 pub mod yardstick;
 

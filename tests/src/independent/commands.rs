@@ -39,6 +39,8 @@ pub struct Segment {
 pub enum Command {
     /// Pre-flight test of 3 s: ramp, rest, sine, rest, step.
     Preflight,
+    /// Pre-flight test of 3 s with turning points of a slow cosine and a leg at low speed.
+    Preflight2,
     /// 0.001 rad/s from rest.
     Ramp,
     /// 0.001 rad at 5 Hz.
@@ -233,6 +235,7 @@ impl Steps<'_> {
         let command = self.command;
         let value = match command {
             Command::Preflight => preflight(k),
+            Command::Preflight2 => preflight2(k),
             Command::Ramp => 0.001 * t,
             Command::Sine => 0.001 * (TAU * 5.0 * t).sin(),
             Command::Step => 1.0,
@@ -285,6 +288,20 @@ impl Steps<'_> {
 }
 
 /// The pre-flight test; a segment owns its first step.
+/// Ramp, slow cosine, sine, a leg there and back, rest, step.
+fn preflight2(k: u64) -> f64 {
+    let t = k as f64 * DT;
+    match k {
+        0..100_000 => 0.001 * t,
+        100_000..850_000 => 1e-4 * (TAU * 5.0 * (t - 0.1)).cos(),
+        850_000..1_850_000 => 0.001 * (TAU * 5.0 * (t - 0.85)).sin(),
+        1_850_000..2_000_000 => 0.2 * (t - 1.85),
+        2_000_000..2_150_000 => 0.2 * (2.15 - t),
+        2_150_000..2_200_000 => 0.0,
+        _ => 1.0,
+    }
+}
+
 fn preflight(k: u64) -> f64 {
     let t = k as f64 * DT;
     match k {

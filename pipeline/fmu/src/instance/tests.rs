@@ -179,7 +179,7 @@ fn refuse_what_is_not_allowed() {
     refused(i.real(2), &["instantiated"]);
     let r = reference(&i, "sequence");
     refused(i.real(r), &["sequence", "fmi2GetInteger"]);
-    refused(i.set_integers(&[r], &[8]), &["found 8", "1 external, 2 preflight"]);
+    refused(i.set_integers(&[r], &[9]), &["found 9", "1 external, 2 preflight"]);
     refused(i.set_integers(&[0], &[1]), &["command", "fmi2GetReal"]);
     refused(i.step(0.0, 1e-4), &["fmi2DoStep", "instantiated", "step mode"]);
     refused(i.setup(f64::INFINITY, None), &["startTime"]);
