@@ -120,6 +120,7 @@ fn prop_no_copy_and_no_allocation_per_frame() {
     let telemetry = reference_run(2.0, 0.2, "preflight2", 10_000.0);
     let actuator = Arc::new(ActuatorParameters::reference());
     let sequence = sim_worker::catalogue::sequence("preflight2").unwrap();
+    let channels = telemetry.header.as_ref().unwrap().channels;
     let about = RunDescription {
         actuator: "rig".into(),
         parameters: actuator.fingerprint(),
@@ -127,13 +128,13 @@ fn prop_no_copy_and_no_allocation_per_frame() {
         sequence: sequence.fingerprint(),
         run: 1,
         rate_hz: 10_000.0,
-        channels: telemetry.header.as_ref().unwrap().channels,
+        channels,
         total_rows: 30_000,
         load_n_m: 0.0,
     };
     let subscriber = Subscriber::open(&domain.open()).unwrap();
     // the real-time publisher does not wait, so that one thread can be both ends
-    let mut publisher = Publisher::open(&domain.open(), Delivery::RealTime, 100, 8).unwrap();
+    let mut publisher = Publisher::open(&domain.open(), Delivery::RealTime, 100, channels.iter().count()).unwrap();
     let mut live = Live::new(Known {
         actuators: vec![actuator],
         sequences: vec![sequence],
