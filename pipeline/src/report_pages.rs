@@ -106,6 +106,8 @@ pub fn region_plot(
     let band = area.map_or(diagnoser.usual_band(), |a| a.band);
     let regions = diagnoser
         .shown_maps()
+        // what says a cause allows every pair
+        .filter(|m| !Feature::CAUSES.contains(&m.feature))
         .filter_map(|m| {
             let v = d.features.get(m.feature)?;
             let name = label(m.feature);

@@ -117,6 +117,10 @@ fn healthy(a: &Area) -> (bool, bool) {
 fn located(case: &Case, a: &Area, around: &Around) -> Lead {
     let told = Told::of(a);
     let mut found = told.sentence();
+    if let Some(k) = &case.diagnosis.kinetic {
+        let [k, k0, k1] = three(k.estimate, k.interval);
+        found += &format!(" Dynamic friction by itself is {k} times that of the healthy model, between {k0} and {k1}.");
+    }
     if a.parts.len() > 1 {
         found += &format!(
             " {} separate areas fit the test as well as each other; the intervals span all of them.",
