@@ -165,6 +165,7 @@ impl FeaturePlan {
             }),
             _ => None,
         });
+        let slow = slow.filter(ReversalPlan::serves);
         let slope = |s: &Segment| match s.command {
             Command::Line { slope_rad_per_s, .. } => slope_rad_per_s,
             _ => 0.0,

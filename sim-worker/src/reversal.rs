@@ -2,6 +2,7 @@
 //! second has several break-aways, of both directions, at a current that rises slowly.
 
 use crate::extractor::Window;
+
 /// Resolver counts from the turning point within which the motor stands.
 const STANDS_COUNTS: f64 = 1.5;
 
@@ -15,6 +16,12 @@ const KINETIC_S: (f64, f64) = (20e-3, 35e-3);
 /// From so long before the end of the stand to so long after it the greatest current is looked for, of means over the third
 /// [s] (assumed).
 const PEAK_S: (f64, f64, f64) = (6e-3, 1.6e-3, 2e-3);
+
+/// Samples of a half period, at least.
+const FEWEST_OF_HALF: f64 = 20.0;
+
+/// Samples of a cosine, at most: as many are kept.
+const LONGEST: u64 = 1 << 20;
 
 /// Most turning points of one direction that count.
 const MOST_TURNS: usize = 32;
@@ -32,6 +39,14 @@ pub struct ReversalPlan {
     pub sign: f64,
     /// of the position sensor [rad]
     pub count_rad: f64,
+}
+
+impl ReversalPlan {
+    /// Whether turning points can be told apart, and the cosine be kept: of another one nothing is taken.
+    pub fn serves(&self) -> bool {
+        let half = 0.5 * self.rate_hz / self.frequency_hz;
+        half >= FEWEST_OF_HALF && self.window.len() <= LONGEST
+    }
 }
 
 /// What the turning points say, mean of both directions.
@@ -196,6 +211,21 @@ mod tests {
             assert!((found.kinetic_a - 0.8).abs() < 1e-9, "{found:?}");
             assert!((found.lag_s - 0.0235).abs() < 1e-3, "{found:?}");
         }
+    }
+
+    #[test]
+    fn prop_a_cosine_too_quick_or_too_long_is_left_alone() {
+        let plan = track(1.2, 0.8, 0.0).plan;
+        assert!(plan.serves());
+        let quick = ReversalPlan {
+            frequency_hz: 1e300,
+            ..plan
+        };
+        let long = ReversalPlan {
+            window: Window { from: 1, to: 1 << 40 },
+            ..plan
+        };
+        assert!(!quick.serves() && !long.serves());
     }
 
     #[test]
