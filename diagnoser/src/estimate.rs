@@ -93,7 +93,7 @@ pub struct Estimator {
     /// which those are, in the same order
     unknown: Vec<Cause>,
     /// by how much dynamic friction of the unit, at the same FSJ, differs from the model's: what is known of it, and for one
-    /// standard deviation of each unknown cause; relative
+    /// standard deviation of each unknown cause; logarithm of the factor
     kinetic: (f64, Vec<f64>),
     limits: Limits,
     starts: Vec<Start>,
@@ -573,11 +573,11 @@ impl Estimator {
         let solver = information.cholesky()?;
         let found = solver.solve(&right);
         let fsj = best.fsj + size(0) * found[0];
-        let own = 1.0 + self.kinetic.0 + (0..n - 2).map(|k| self.kinetic.1[k] * found[k + 2]).sum::<f64>();
+        let own = (self.kinetic.0 + (0..n - 2).map(|k| self.kinetic.1[k] * found[k + 2]).sum::<f64>()).exp();
         let gradient = DVector::from_fn(n, |i, _| match i {
             0 => own * size(0),
             1 => 0.0,
-            _ => fsj * self.kinetic.1[i - 2],
+            _ => fsj * own * self.kinetic.1[i - 2],
         });
         let variance = gradient.dot(&solver.solve(&gradient));
         Some((fsj * own, variance.sqrt()))

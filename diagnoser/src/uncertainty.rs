@@ -78,7 +78,7 @@ impl Scale {
     }
 }
 
-/// Deviations of a unit by what acts by itself: [`Cause::acts_through`].
+/// Deviations of a unit by what acts by itself ([`Cause::acts_through`]), as they are counted ([`Cause::counted`]).
 pub type Deviations = [f64; Cause::COUNT];
 
 /// What the causes of a spread deviate by together, where each lies at `draw` (-1 to 1) of its half-width.
@@ -86,7 +86,7 @@ pub fn deviations(spread: &Spread, draw: &[f64; Cause::COUNT]) -> Deviations {
     let mut x = [0.0; Cause::COUNT];
     for (cause, h) in spread.causes() {
         for (through, per_unit) in cause.acts_through() {
-            x[through as usize] += draw[cause as usize] * h * per_unit;
+            x[through as usize] += through.counted(draw[cause as usize] * h * per_unit);
         }
     }
     x
@@ -383,7 +383,7 @@ impl ResponseSurfaces {
 /// and standard deviation 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Factors {
-    /// most probable, by what acts by itself
+    /// most probable, by what acts by itself, as counted ([`Cause::counted`])
     pub middle: Deviations,
     /// one standard deviation of each factor, at most [`Cause::COUNT`], and the cause that it is called after
     pub each: Vec<(Cause, Deviations)>,
@@ -406,12 +406,12 @@ impl Factors {
     /// Causes that have nothing to do with each other.
     ///
     /// * `unknown` causes and their standard deviations
-    /// * `known` causes and their deviations
+    /// * `known` causes and their deviations, relative where they are
     pub fn independent(unknown: &[(Cause, f64)], known: &[(Cause, f64)]) -> Self {
         let mut middle = [0.0; Cause::COUNT];
         for &(cause, amount) in known {
             for (through, per_unit) in cause.acts_through() {
-                middle[through as usize] += amount * per_unit;
+                middle[through as usize] += through.counted(amount * per_unit);
             }
         }
         let one = |&(cause, amount): &(Cause, f64)| {
@@ -522,6 +522,31 @@ impl PreparedSurfaces {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn prop_causes_that_multiply_are_counted_so_that_products_are_straight() {
+        let mut spread = Spread::none();
+        spread.half_width[Cause::DynamicRatio as usize] = 0.1;
+        spread.half_width[Cause::HealthyFriction as usize] = 0.2;
+        spread.half_width[Cause::RestAngle as usize] = 0.1;
+        let mut draw = [0.0; Cause::COUNT];
+        draw[Cause::DynamicRatio as usize] = -1.0;
+        draw[Cause::HealthyFriction as usize] = 0.5;
+        draw[Cause::RestAngle as usize] = 0.5;
+        let x = deviations(&spread, &draw);
+        let product = x[Cause::DynamicRatio as usize] + x[Cause::HealthyFriction as usize];
+        assert!((product.exp() - 0.9 * 1.1).abs() < 1e-12);
+        assert_eq!(x[Cause::RestAngle as usize], 0.05);
+        let known = [
+            (Cause::DynamicRatio, -0.1),
+            (Cause::HealthyFriction, 0.1),
+            (Cause::RestAngle, 0.05),
+        ];
+        assert_eq!(Factors::independent(&[], &known).middle, x);
+        for c in Cause::ALL {
+            assert!((c.of_counted(c.counted(0.07)) - 0.07).abs() < 1e-12);
+        }
+    }
 
     #[test]
     fn prop_surfaces_find_the_slopes_that_made_the_data() {

@@ -316,7 +316,7 @@ pub(crate) fn scores(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatu
     units.iter().zip(measured).filter_map(score).collect()
 }
 
-/// Fills a calibration with the scores of tests.
+/// Fills a calibration with the scores of tests, whatever it had.
 pub(crate) fn score_all(calibration: &mut Calibration, scores: &[Score]) {
     let sorted = |f: fn(&Score) -> f64| {
         let mut v: Vec<f64> = scores.iter().map(f).collect();
@@ -326,6 +326,7 @@ pub(crate) fn score_all(calibration: &mut Calibration, scores: &[Score]) {
     calibration.misfits = sorted(|s| s.misfit);
     calibration.deviations = sorted(|s| s.deviation);
     let (gate, witness_gate) = (calibration.gate(), calibration.witness_gate());
+    calibration.scores.iter_mut().for_each(Vec::clear);
     let mut strips = Vec::with_capacity(scores.len());
     for s in scores {
         let refused = s.misfit > gate || s.deviation > witness_gate;

@@ -47,16 +47,13 @@ impl UnitEffort {
         surface: 1024,
         baseline: 320,
         units: 160,
-        tests: 4,
+        tests: 13,
         seed: 0,
     };
 }
 
 /// Numbers of healthy tests that simulated units have.
 const HISTORIES: [usize; 2] = [1, 3];
-
-/// Faults this near to each other are one place, where maps err by the same.
-const NEAR: (f64, f64) = (0.25, 0.03);
 
 /// Maps for a test of a unit and what simulated units say of them, from the cache or made on first use.
 ///
@@ -94,7 +91,11 @@ fn draw_unit(
     for (i, c) in prior.causes.iter().enumerate() {
         let x: f64 = (0..=i).map(|k| root[(i, k)] * t[k]).sum();
         let h = half_width[*c as usize];
-        draw[*c as usize] = if h > 0.0 { (x / h).clamp(-1.0, 1.0) } else { 0.0 };
+        draw[*c as usize] = if h > 0.0 {
+            (c.of_counted(x) / h).clamp(-1.0, 1.0)
+        } else {
+            0.0
+        };
     }
     draw
 }
@@ -323,7 +324,7 @@ pub(crate) fn constants(unit: &UnitFile) -> Vec<(Cause, f64, f64, f64)> {
     let prior = unit.prior();
     let one = |c: &Cause| {
         let (mean, sd) = unit.constants.of(*c)?;
-        Some((*c, mean, sd, prior.of(*c)?.1))
+        Some((*c, c.of_counted(mean), sd, prior.of(*c)?.1))
     };
     unit.constants.causes.iter().filter_map(one).collect()
 }
@@ -507,19 +508,11 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
     })
 }
 
-/// How many tests at the faults of one were learnt from, this one included.
+/// Which of the tests at faults that nobody knows it is, among those that were learnt from: what maps and responses err by is
+/// much the same in all tests of a unit (counted as new ones, thirty had left 83 % of true pairs in the intervals of 95 %).
 fn times(unit: &UnitFile, test: &TestEntry) -> usize {
-    let at = |t: &TestEntry| Some((t.fsj?.1, t.zeta?.1));
-    let near = |t: &&TestEntry| match (at(t), at(test)) {
-        (Some((f, z)), Some((f0, z0))) => t.is_taken() && (f - f0).abs() < NEAR.0 && (z - z0).abs() < NEAR.1,
-        _ => false,
-    };
-    1 + unit
-        .tests
-        .iter()
-        .take_while(|t| t.checksum != test.checksum)
-        .filter(near)
-        .count()
+    let before = unit.tests.iter().take_while(|t| t.checksum != test.checksum);
+    1 + before.filter(|t| !t.healthy && t.is_taken() && t.fsj.is_some()).count()
 }
 
 fn healthy_of(unit: &UnitFile, kind: &str) -> Vec<Features> {

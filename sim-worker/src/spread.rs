@@ -150,6 +150,29 @@ impl Cause {
         }
     }
 
+    /// Whether a value is multiplied by what it deviates by: its deviation is relative.
+    pub fn is_relative(self) -> bool {
+        !matches!(
+            self,
+            Cause::Temperature | Cause::RestAngle | Cause::EffectAmplitude | Cause::EffectShape | Cause::EffectGrowth
+        )
+    }
+
+    /// A deviation as responses count it: of what is multiplied the logarithm of the factor, so that products of causes
+    /// (friction, its ratio, one over the flux) add and what only their product shows stays a straight line.
+    pub fn counted(self, deviation: f64) -> f64 {
+        if self.is_relative() {
+            deviation.ln_1p()
+        } else {
+            deviation
+        }
+    }
+
+    /// The deviation that is counted so.
+    pub fn of_counted(self, counted: f64) -> f64 {
+        if self.is_relative() { counted.exp_m1() } else { counted }
+    }
+
     /// What it acts through: deviations of other causes for a deviation of one unit of this one.
     pub fn acts_through(self) -> Vec<(Cause, f64)> {
         match self {

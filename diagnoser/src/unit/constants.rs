@@ -24,7 +24,7 @@ const STEPS: usize = 4;
 pub struct Constants {
     /// what is constant in a unit and not known exactly
     pub causes: Vec<Cause>,
-    /// deviations from the actuator of the maps, in the units of [`Spread::half_width`]
+    /// deviations from the actuator of the maps as they are counted ([`Cause::counted`])
     pub mean: Vec<f64>,
     /// row by row
     pub covariance: Vec<f64>,
@@ -335,8 +335,8 @@ impl Constants {
     /// The posterior after a test at faults that nobody knows. `None` where the test lacks features.
     ///
     /// * `diagnoser` made ready with these constants and nothing known of the test
-    /// * `again` how many tests at such faults have been learnt from, this one included: what maps err by is the same in
-    ///   all of them, so that they weigh as `1/again^2`
+    /// * `again` how many tests at unknown faults have been learnt from, this one included: what maps and responses err by
+    ///   is much the same in all of them, so that they weigh as `1/again^2` (assumed)
     pub fn after_test(&self, diagnoser: &Diagnoser, features: &Features, again: usize) -> Option<Self> {
         let (mean, covariance) = diagnoser.factors_given(features, (again * again) as f64)?;
         let n = self.causes.len();

@@ -17,7 +17,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// First key of every unit file.
-const FORMAT: &str = "ema unit 1";
+const FORMAT: &str = "ema unit 2";
+
+/// Of files whose means are relative deviations, not yet counted ([`Cause::counted`]).
+const FIRST_FORMAT: &str = "ema unit 1";
 
 /// A kind of test that a unit was shown: what maps are made for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -255,7 +258,7 @@ impl UnitFile {
             let found = e.to_string().split(" at line").next().unwrap_or_default().to_string();
             Error::bad(&file, place, found, allowed)
         })?;
-        if s.format != FORMAT {
+        if s.format != FORMAT && s.format != FIRST_FORMAT {
             return Err(Error::bad(&file, "format", s.format, FORMAT));
         }
         let cause = |key: &String| {
@@ -279,9 +282,14 @@ impl UnitFile {
         for (c, h) in pairs(&s.spread)? {
             spread.half_width[c as usize] = h;
         }
+        let causes = s.posterior.causes.iter().map(cause).collect::<Result<Vec<_>>>()?;
+        let mut mean = s.posterior.mean;
+        if s.format == FIRST_FORMAT {
+            mean.iter_mut().zip(&causes).for_each(|(x, c)| *x = c.counted(*x));
+        }
         let constants = Constants {
-            causes: s.posterior.causes.iter().map(cause).collect::<Result<Vec<_>>>()?,
-            mean: s.posterior.mean,
+            causes,
+            mean,
             covariance: s.posterior.covariance,
             of_test: pairs(&s.posterior.of_test)?,
             discrepancy: s
@@ -397,13 +405,21 @@ mod tests {
             words.iter().for_each(|w| assert!(e.contains(w), "no `{w}` in {e}"));
         };
         refused(good[..good.len() / 2].into(), &["line", "a unit file (ema unit new)"]);
-        refused(good.replace("ema unit 1", "ema unit 9"), &["format", "ema unit 9"]);
+        refused(good.replace("ema unit 2", "ema unit 9"), &["format", "ema unit 9"]);
         refused(
             good.replace("\"inertia_relative\"", "\"inertia\""),
             &["inertia", "inertia_relative"],
         );
         refused(good.replacen("0.0033333333333333335,", "", 1), &["posterior", "n^2"]);
         refused("{}".into(), &["format"]);
+        // of an earlier version: means were relative
+        let mut old: serde_json::Value = serde_json::from_str(&good).unwrap();
+        old["format"] = FIRST_FORMAT.into();
+        let object = old.as_object_mut().unwrap();
+        ["sealed", "checksum"].map(|key| object.remove(key));
+        std::fs::write(&file, seal::sealed(&old.to_string())).unwrap();
+        let read = UnitFile::load(&file).unwrap();
+        assert_eq!(read.constants.mean[0], (0.01 / 3.0f64).ln_1p());
         std::fs::remove_dir_all(&dir).unwrap();
     }
 }

@@ -1,12 +1,14 @@
 //! `cargo run --release -p ema-tests --bin diagnosis-bench -- [--grid NAME] [--tests N] [--seed N] [--refined N] [--coverage] [--record OUT.md]`:
 //! coverage, widths, errors, silent misses and time of diagnoses, on tests that maps and calibration have
 //! not seen. Takes some minutes; `--coverage` ends after the coverage. `--angles none` (or another spread) gives the coverage at twelve
-//! rest angles instead, calibrated as on first use and as `ema calibrate` does.
+//! rest angles instead, calibrated as on first use and as `ema calibrate` does; `--sequences SPREAD` compares both pre-flight tests; `--units
+//! unit` (or another spread) follows units with a history.
 
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
 use ema_tests::coverage::defects::{self, Defect};
 use ema_tests::coverage::other_hand;
+use ema_tests::coverage::units;
 use ema_tests::coverage::{
     FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick,
 };
@@ -33,6 +35,8 @@ struct Options {
     angles: Option<String>,
     /// spread in which both pre-flight tests are compared
     sequences: Option<String>,
+    /// spread of units with a history
+    units: Option<String>,
     record: Option<String>,
 }
 
@@ -46,6 +50,7 @@ impl Options {
             refined: 120,
             angles: None,
             sequences: None,
+            units: None,
             record: None,
         };
         while let Some(arg) = args.next() {
@@ -57,11 +62,12 @@ impl Options {
                 "--seed" => options.seed = value()?.parse()?,
                 "--angles" => options.angles = Some(value()?),
                 "--sequences" => options.sequences = Some(value()?),
+                "--units" => options.units = Some(value()?),
                 "--record" => options.record = Some(value()?),
                 "--coverage" => options.coverage_only = true,
                 _ => anyhow::bail!(
                     "{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --angles SPREAD, --sequences SPREAD, \
-                     --record FILE"
+                     --units SPREAD, --record FILE"
                 ),
             }
         }
@@ -72,10 +78,11 @@ impl Options {
 fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
     let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
-    let text = match (&options.angles, &options.sequences) {
-        (Some(spread), _) => at_twelve_angles(&cache, spread, &options),
-        (None, Some(spread)) => of_both_sequences(&cache, spread, &options),
-        (None, None) => bench(&cache, &options),
+    let text = match (&options.angles, &options.sequences, &options.units) {
+        (Some(spread), ..) => at_twelve_angles(&cache, spread, &options),
+        (None, Some(spread), _) => of_both_sequences(&cache, spread, &options),
+        (None, None, Some(spread)) => units::bench(&cache, &options.grid, spread, options.tests, options.seed),
+        (None, None, None) => bench(&cache, &options),
     };
     let _ = std::fs::remove_dir_all(&cache);
     let text = text?;

@@ -4,6 +4,7 @@
 pub mod defects;
 pub mod other_hand;
 pub mod record;
+pub mod units;
 pub mod yardstick;
 
 use anyhow::{Context, Result};
