@@ -416,10 +416,12 @@ mod tests {
         let mut old: serde_json::Value = serde_json::from_str(&good).unwrap();
         old["format"] = FIRST_FORMAT.into();
         let object = old.as_object_mut().unwrap();
-        ["sealed", "checksum"].map(|key| object.remove(key));
+        for key in ["sealed", "checksum"] {
+            object.remove(key);
+        }
         std::fs::write(&file, seal::sealed(&old.to_string())).unwrap();
         let read = UnitFile::load(&file).unwrap();
-        assert_eq!(read.constants.mean[0], (0.01 / 3.0f64).ln_1p());
+        assert_eq!(read.constants.mean[0], (0.01_f64 / 3.0).ln_1p());
         std::fs::remove_dir_all(&dir).unwrap();
     }
 }
