@@ -85,7 +85,7 @@ pub struct Unit {
 /// Dynamic friction of a unit's test over that of the healthy model: the kinetic factor, FSJ where units do not differ in it.
 pub fn kinetic_factor(spread: &Spread, unit: &Unit) -> f64 {
     let x = deviations(spread, &unit.draw);
-    unit.fault.fsj * (1.0 + x[Cause::DynamicRatio as usize]) * (1.0 + x[Cause::HealthyFriction as usize])
+    unit.fault.fsj * (x[Cause::DynamicRatio as usize] + x[Cause::HealthyFriction as usize]).exp()
 }
 
 /// Random units over a fault range.

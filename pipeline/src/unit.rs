@@ -494,8 +494,9 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
     if let Outcome::Located(a) = &diagnosis.outcome {
         entry.fsj = Some((a.fsj.lo, a.centroid.0, a.fsj.hi));
         entry.zeta = Some((a.zeta.lo, a.centroid.1, a.zeta.hi));
-        let again = times(unit, &entry);
-        if let Some(c) = unit.constants.after_test(&d, &features, again) {
+        let learns = unit.constants.learn_when_worn(unit.healthy());
+        let learnt = || unit.constants.after_test(&d, &features, times(unit, &entry));
+        if let Some(c) = learns.then(learnt).flatten() {
             unit.constants = c;
         }
     }
@@ -509,7 +510,7 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
 }
 
 /// Which of the tests at faults that nobody knows it is, among those that were learnt from: what maps and responses err by is
-/// much the same in all tests of a unit (counted as new ones, thirty had left 83 % of true pairs in the intervals of 95 %).
+/// much the same in all tests of a unit (counted as new ones, thirty had left 80 % of true pairs in the intervals of 95 %).
 fn times(unit: &UnitFile, test: &TestEntry) -> usize {
     let before = unit.tests.iter().take_while(|t| t.checksum != test.checksum);
     1 + before.filter(|t| !t.healthy && t.is_taken() && t.fsj.is_some()).count()
@@ -540,7 +541,8 @@ fn relearn(unit: &mut UnitFile, kinds: &mut Kinds) -> Result<()> {
             constants = c;
         }
     }
-    for t in unit.tests.iter().filter(|t| !t.healthy && t.is_taken()) {
+    let learns = constants.learn_when_worn(unit.healthy());
+    for t in unit.tests.iter().filter(|t| learns && !t.healthy && t.is_taken()) {
         let Some((_, set, calibration)) = kinds.0.iter().find(|k| k.0 == t.kind) else {
             continue;
         };

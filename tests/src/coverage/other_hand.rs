@@ -24,8 +24,9 @@ fn of(spread: &Spread, unit: &Unit) -> independent::Unit {
         (&mut u.fd_ratio, Cause::DynamicRatio),
         (&mut u.vs, Cause::Supply),
         (&mut u.c, Cause::Viscous),
+        (&mut u.fs0, Cause::HealthyFriction),
     ] {
-        *value *= 1.0 + x[cause as usize];
+        *value *= 1.0 + cause.of_counted(x[cause as usize]);
     }
     u
 }

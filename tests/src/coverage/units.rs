@@ -1,6 +1,8 @@
 //! Units with a history: after an acceptance test and a number of later ones, and over a life.
 
+use super::other_hand;
 use super::{FSJ, ZETA, maps_of, percent, quantile};
+use crate::independent::Command;
 use anyhow::{Context, Result};
 use diagnoser::diagnosis::{COVERAGE, Diagnoser, Outcome};
 use diagnoser::failure_map::FailureMapSet;
@@ -137,9 +139,12 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
             ..setup
         };
         let calibration = pipeline::unit::calibrate(&set, &setup, &prior, UnitEffort::QUICK)?.context("interrupted")?;
+        let command = match sequence {
+            "preflight" => Command::Preflight,
+            _ => Command::Preflight2,
+        };
         let kind = Kind {
             set: &set,
-            setup: &setup,
             calibration: &calibration,
             prior: &prior,
         };
@@ -153,13 +158,20 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
                 };
                 (0..=history + 1).map(along).collect()
             };
-            let units = kind.units(n, &mut rng, grown)?;
+            let ours = |units: &[Unit]| measure(&setup, &kind.prior.spread(), units, "units")?.context("interrupted");
+            let units = kind.units(n, &mut rng, grown, ours)?;
             let all: Vec<Seen> = units.into_par_iter().filter_map(|mut tests| tests.pop()).collect();
             out += &row(&format!("{sequence} | 1 + {history}"), &all);
             for k in 0..4 {
                 let within = |s: &&Seen| (s.fault.0 - 1.0).floor() as usize == k;
                 let of: Vec<Seen> = all.iter().filter(within).cloned().collect();
                 out += &row(&format!("{sequence} | 1 + {history}, FSJ {} to {}", k + 1, k + 2), &of);
+            }
+            if history == 0 {
+                let theirs = |units: &[Unit]| Ok(other_hand::measure(&setup, &kind.prior.spread(), units, &command));
+                let units = kind.units(n, &mut rng, grown, theirs)?;
+                let all: Vec<Seen> = units.into_iter().flatten().collect();
+                out += &row(&format!("{sequence}, simulated by another hand | 1 + {history}"), &all);
             }
         }
         let mut rng = ChaCha8Rng::seed_from_u64(0xF4E5_9000_0000_0000 ^ seed);
@@ -171,7 +183,8 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
             };
             (0..=LIFE).map(at).collect()
         };
-        let units = kind.units(n.div_ceil(LIVES_OF), &mut rng, life)?;
+        let ours = |units: &[Unit]| measure(&setup, &kind.prior.spread(), units, "lives")?.context("interrupted");
+        let units = kind.units(n.div_ceil(LIVES_OF), &mut rng, life, ours)?;
         for part in 0..THIRDS {
             let of = |t: &Vec<Seen>| t[part * t.len() / THIRDS..(part + 1) * t.len() / THIRDS].to_vec();
             let all: Vec<Seen> = units.iter().flat_map(of).collect();
@@ -186,18 +199,20 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
 /// A kind of test, and what is known of units before theirs.
 struct Kind<'a> {
     set: &'a FailureMapSet,
-    setup: &'a TestSetup,
     calibration: &'a UnitCalibration,
     prior: &'a Constants,
 }
 
 impl Kind<'_> {
     /// Units and what their tests said, all but the acceptance test.
+    ///
+    /// * `measure` simulates tests
     fn units(
         &self,
         n: usize,
         rng: &mut ChaCha8Rng,
         faults: impl Fn(&mut ChaCha8Rng) -> Vec<(f64, f64)>,
+        measure: impl Fn(&[Unit]) -> Result<Vec<RawFeatures>>,
     ) -> Result<Vec<Vec<Seen>>> {
         let spread = self.prior.spread();
         let lives: Vec<Life> = (0..n)
@@ -207,7 +222,7 @@ impl Kind<'_> {
             })
             .collect();
         let tests = tests_of(&lives, self.prior, rng);
-        let raw = measure(self.setup, &spread, &tests, "units")?.context("interrupted")?;
+        let raw = measure(&tests)?;
         let each = lives.first().map_or(1, |l| l.faults.len());
         let of = |(life, raw): (&Life, &[RawFeatures])| self.followed(&life.faults, raw);
         lives.par_iter().zip(raw.par_chunks(each)).map(of).collect()
@@ -229,7 +244,7 @@ impl Kind<'_> {
         for (features, fault) in features.iter().zip(faults).skip(1) {
             let d = base.again_with(&constants.factors(&none));
             let outcome = d.diagnose(features, &[]).outcome;
-            if let Outcome::Located(_) = outcome {
+            if matches!(outcome, Outcome::Located(_)) && constants.learn_when_worn(1) {
                 taken += 1;
                 constants = constants.after_test(&d, features, taken).unwrap_or(constants);
             }
