@@ -5,10 +5,14 @@
 //! bend. Slopes are cubic, bends quadratic polynomials of the faults, fitted to simulated units (a response
 //! surface; Box and Wilson 1951). What that leaves is an uncertainty of its own.
 
+mod factors;
+
+pub use factors::{Deviations, Discrepancy, Factors, deviations, log_kinetic};
+
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use schemas::feature::Feature;
 use serde::{Deserialize, Serialize};
-use sim_worker::spread::{Cause, Spread};
+use sim_worker::spread::Cause;
 use std::collections::BTreeMap;
 
 /// Most features that are inverted together.
@@ -76,20 +80,6 @@ impl Scale {
         let scaled = |x: f64, (lo, hi): (f64, f64)| (2.0 * x - lo - hi) / (hi - lo);
         (scaled(fsj, self.fsj), scaled(zeta, self.zeta))
     }
-}
-
-/// Deviations of a unit by what acts by itself ([`Cause::acts_through`]), as they are counted ([`Cause::counted`]).
-pub type Deviations = [f64; Cause::COUNT];
-
-/// What the causes of a spread deviate by together, where each lies at `draw` (-1 to 1) of its half-width.
-pub fn deviations(spread: &Spread, draw: &[f64; Cause::COUNT]) -> Deviations {
-    let mut x = [0.0; Cause::COUNT];
-    for (cause, h) in spread.causes() {
-        for (through, per_unit) in cause.acts_through() {
-            x[through as usize] += through.counted(draw[cause as usize] * h * per_unit);
-        }
-    }
-    x
 }
 
 /// Responses of the features to the causes of a spread.
@@ -379,68 +369,6 @@ impl ResponseSurfaces {
     }
 }
 
-/// What is known of causes: their deviations are `middle + sum over k of t_k each_k`, `t_k` independent with mean 0
-/// and standard deviation 1.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Factors {
-    /// most probable, by what acts by itself, as counted ([`Cause::counted`])
-    pub middle: Deviations,
-    /// one standard deviation of each factor, at most [`Cause::COUNT`], and the cause that it is called after
-    pub each: Vec<(Cause, Deviations)>,
-    /// by how much the unit differs from its model beyond any cause
-    pub discrepancy: Vec<Discrepancy>,
-}
-
-/// What a unit's healthy tests show that no constant of its model explains.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Discrepancy {
-    /// of which feature
-    pub feature: Feature,
-    /// measured less model [unit of the feature]
-    pub shift: f64,
-    /// standard uncertainty of that at other faults
-    pub uncertainty: f64,
-}
-
-impl Factors {
-    /// Causes that have nothing to do with each other.
-    ///
-    /// * `unknown` causes and their standard deviations
-    /// * `known` causes and their deviations, relative where they are
-    pub fn independent(unknown: &[(Cause, f64)], known: &[(Cause, f64)]) -> Self {
-        let mut middle = [0.0; Cause::COUNT];
-        for &(cause, amount) in known {
-            for (through, per_unit) in cause.acts_through() {
-                middle[through as usize] += through.counted(amount * per_unit);
-            }
-        }
-        let one = |&(cause, amount): &(Cause, f64)| {
-            let mut row = [0.0; Cause::COUNT];
-            for (through, per_unit) in cause.acts_through() {
-                row[through as usize] += amount * per_unit;
-            }
-            (cause, row)
-        };
-        Self {
-            middle,
-            each: unknown.iter().map(one).collect(),
-            discrepancy: Vec::new(),
-        }
-    }
-
-    /// Shifts and variances of features by the discrepancy.
-    pub fn discrepancies(&self, features: &[Feature]) -> (Row, Row) {
-        let (mut shift, mut variance) = ([0.0; MOST], [0.0; MOST]);
-        for (k, f) in features.iter().enumerate().take(MOST) {
-            for d in self.discrepancy.iter().filter(|d| d.feature == *f) {
-                shift[k] += d.shift;
-                variance[k] += d.uncertainty * d.uncertainty;
-            }
-        }
-        (shift, variance)
-    }
-}
-
 /// Sum over what a cause acts through.
 fn through(cause: Cause, of: impl Fn(Cause) -> f64) -> f64 {
     cause.acts_through().into_iter().map(|(c, x)| x * of(c)).sum()
@@ -522,31 +450,6 @@ impl PreparedSurfaces {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn prop_causes_that_multiply_are_counted_so_that_products_are_straight() {
-        let mut spread = Spread::none();
-        spread.half_width[Cause::DynamicRatio as usize] = 0.1;
-        spread.half_width[Cause::HealthyFriction as usize] = 0.2;
-        spread.half_width[Cause::RestAngle as usize] = 0.1;
-        let mut draw = [0.0; Cause::COUNT];
-        draw[Cause::DynamicRatio as usize] = -1.0;
-        draw[Cause::HealthyFriction as usize] = 0.5;
-        draw[Cause::RestAngle as usize] = 0.5;
-        let x = deviations(&spread, &draw);
-        let product = x[Cause::DynamicRatio as usize] + x[Cause::HealthyFriction as usize];
-        assert!((product.exp() - 0.9 * 1.1).abs() < 1e-12);
-        assert_eq!(x[Cause::RestAngle as usize], 0.05);
-        let known = [
-            (Cause::DynamicRatio, -0.1),
-            (Cause::HealthyFriction, 0.1),
-            (Cause::RestAngle, 0.05),
-        ];
-        assert_eq!(Factors::independent(&[], &known).middle, x);
-        for c in Cause::ALL {
-            assert!((c.of_counted(c.counted(0.07)) - 0.07).abs() < 1e-12);
-        }
-    }
 
     #[test]
     fn prop_surfaces_find_the_slopes_that_made_the_data() {

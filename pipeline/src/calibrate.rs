@@ -6,7 +6,7 @@ use anyhow::Result;
 use diagnoser::calibration::{COVERAGE, Calibration, REFUSED_SCORE, uncalibrated};
 use diagnoser::diagnosis::{Diagnoser, Score};
 use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
-use diagnoser::uncertainty::{ResponseSurfaces, Sample, Scale, deviations};
+use diagnoser::uncertainty::{ResponseSurfaces, Sample, Scale, deviations, log_kinetic};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -84,8 +84,7 @@ pub struct Unit {
 
 /// Dynamic friction of a unit's test over that of the healthy model: the kinetic factor, FSJ where units do not differ in it.
 pub fn kinetic_factor(spread: &Spread, unit: &Unit) -> f64 {
-    let x = deviations(spread, &unit.draw);
-    unit.fault.fsj * (x[Cause::DynamicRatio as usize] + x[Cause::HealthyFriction as usize]).exp()
+    unit.fault.fsj * log_kinetic(&deviations(spread, &unit.draw)).exp()
 }
 
 /// Random units over a fault range.

@@ -100,6 +100,27 @@ fn draw_unit(
     draw
 }
 
+/// A test of a unit: what is of a test is another one in each.
+///
+/// * `own` constants of the unit, as shares of the half-widths of its spread
+/// * `fault` drawn after what is of the test
+pub fn draw_test(
+    prior: &Constants,
+    own: [f64; Cause::COUNT],
+    rng: &mut ChaCha8Rng,
+    fault: impl FnOnce(&mut ChaCha8Rng) -> FaultState,
+) -> Unit {
+    let mut draw = own;
+    for (c, _) in &prior.of_test {
+        draw[*c as usize] = rng.random_range(-1.0..1.0);
+    }
+    Unit {
+        fault: fault(rng),
+        draw,
+        seed: rng.random(),
+    }
+}
+
 /// Simulates units of a prior and their tests. `Ok(None)` where it was interrupted.
 ///
 /// # Errors
@@ -132,21 +153,15 @@ pub fn calibrate(
     for _ in 0..effort.units {
         let own = draw_unit(prior, &root, &spread.half_width, &mut rng);
         for k in 0..each {
-            let mut draw = own;
-            for (c, _) in &prior.of_test {
-                draw[*c as usize] = rng.random_range(-1.0..1.0);
-            }
-            let (f, z) = (rng.random_range(fsj.0..fsj.1), rng.random_range(zeta.0..zeta.1));
-            let fault = if k < first {
-                FaultState::NOMINAL
-            } else {
-                FaultState { fsj: f, zeta: z }
+            let anywhere = |rng: &mut ChaCha8Rng| {
+                let (f, z) = (rng.random_range(fsj.0..fsj.1), rng.random_range(zeta.0..zeta.1));
+                if k < first {
+                    FaultState::NOMINAL
+                } else {
+                    FaultState { fsj: f, zeta: z }
+                }
             };
-            tests.push(Unit {
-                fault,
-                draw,
-                seed: rng.random(),
-            });
+            tests.push(draw_test(prior, own, &mut rng, anywhere));
         }
     }
     let Some(raw) = measure(setup, &spread, &tests, "units with a history")? else {
@@ -494,9 +509,9 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
     if let Outcome::Located(a) = &diagnosis.outcome {
         entry.fsj = Some((a.fsj.lo, a.centroid.0, a.fsj.hi));
         entry.zeta = Some((a.zeta.lo, a.centroid.1, a.zeta.hi));
-        let learns = unit.constants.learn_when_worn(unit.healthy());
-        let learnt = || unit.constants.after_test(&d, &features, times(unit, &entry));
-        if let Some(c) = learns.then(learnt).flatten() {
+        if unit.constants.learn_when_worn(unit.healthy())
+            && let Some(c) = unit.constants.after_test(&d, &features, 1 + unit.worn().count())
+        {
             unit.constants = c;
         }
     }
@@ -507,13 +522,6 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
     } else {
         Shown::Refused(refused)
     })
-}
-
-/// Which of the tests at faults that nobody knows it is, among those that were learnt from: what maps and responses err by is
-/// much the same in all tests of a unit (counted as new ones, thirty had left 80 % of true pairs in the intervals of 95 %).
-fn times(unit: &UnitFile, test: &TestEntry) -> usize {
-    let before = unit.tests.iter().take_while(|t| t.checksum != test.checksum);
-    1 + before.filter(|t| !t.healthy && t.is_taken() && t.fsj.is_some()).count()
 }
 
 fn healthy_of(unit: &UnitFile, kind: &str) -> Vec<Features> {
@@ -541,14 +549,15 @@ fn relearn(unit: &mut UnitFile, kinds: &mut Kinds) -> Result<()> {
             constants = c;
         }
     }
-    let learns = constants.learn_when_worn(unit.healthy());
-    for t in unit.tests.iter().filter(|t| learns && !t.healthy && t.is_taken()) {
-        let Some((_, set, calibration)) = kinds.0.iter().find(|k| k.0 == t.kind) else {
-            continue;
-        };
-        let d = calibration.diagnoser(set.clone(), &constants, unit.healthy(), COVERAGE, &Vec::new())?;
-        if let Some(c) = constants.after_test(&d, &t.features(), times(unit, t)) {
-            constants = c;
+    if constants.learn_when_worn(unit.healthy()) {
+        for (before, t) in unit.worn().enumerate() {
+            let Some((_, set, calibration)) = kinds.0.iter().find(|k| k.0 == t.kind) else {
+                continue;
+            };
+            let d = calibration.diagnoser(set.clone(), &constants, unit.healthy(), COVERAGE, &Vec::new())?;
+            if let Some(c) = constants.after_test(&d, &t.features(), 1 + before) {
+                constants = c;
+            }
         }
     }
     unit.constants = constants;

@@ -202,6 +202,11 @@ impl UnitFile {
         self.tests.iter().filter(|t| t.healthy && t.is_taken()).count()
     }
 
+    /// Tests at faults that nobody knew that went in, in order.
+    pub fn worn(&self) -> impl Iterator<Item = &TestEntry> {
+        self.tests.iter().filter(|t| !t.healthy && t.is_taken())
+    }
+
     /// All tests that went in.
     pub fn taken(&self) -> usize {
         self.tests.iter().filter(|t| t.is_taken()).count()

@@ -8,7 +8,7 @@ pub mod units;
 pub mod yardstick;
 
 use anyhow::{Context, Result};
-use diagnoser::diagnosis::{COVERAGE, Diagnoser, Outcome};
+use diagnoser::diagnosis::{COVERAGE, Diagnoser, Diagnosis, Outcome};
 use diagnoser::failure_map::FailureMapSet;
 use pipeline::calibrate::{Campaign, Unit, draw_units, kinetic_factor, measure};
 use pipeline::maps::{MapRequest, made};
@@ -65,14 +65,14 @@ pub struct Case {
     pub contradicting: Vec<Feature>,
 }
 
-/// Diagnoses measured tests.
-pub fn judge(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) -> Vec<Case> {
-    let spread = diagnoser.calibration.as_ref().map_or_else(Spread::none, |c| c.spread());
-    let one = |(u, raw): (&Unit, &RawFeatures)| {
-        let d = diagnoser.diagnose(&diagnoser.maps.features(raw), &[]);
+impl Case {
+    /// A diagnosis beside the truth.
+    ///
+    /// * `spread` that the unit was drawn from
+    fn of(spread: &Spread, u: &Unit, d: Diagnosis) -> Self {
         let (fsj, zeta) = (u.fault.fsj, u.fault.zeta);
         let area = d.outcome.area();
-        Case {
+        Self {
             fsj,
             zeta,
             outcome: d.outcome.name(),
@@ -82,7 +82,7 @@ pub fn judge(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) ->
                 (width, (a.centroid.0 - fsj, a.centroid.1 - zeta))
             }),
             kinetic: d.kinetic.map(|k| {
-                let truth = kinetic_factor(&spread, u);
+                let truth = kinetic_factor(spread, u);
                 (k.interval.width() / truth, k.interval.contains(truth))
             }),
             parts: area.map_or(0, |a| a.parts.len()),
@@ -91,7 +91,14 @@ pub fn judge(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) ->
                 _ => Vec::new(),
             },
         }
-    };
+    }
+}
+
+/// Diagnoses measured tests.
+pub fn judge(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatures]) -> Vec<Case> {
+    let spread = diagnoser.calibration.as_ref().map_or_else(Spread::none, |c| c.spread());
+    let one =
+        |(u, raw): (&Unit, &RawFeatures)| Case::of(&spread, u, diagnoser.diagnose(&diagnoser.maps.features(raw), &[]));
     units.iter().zip(measured).map(one).collect()
 }
 

@@ -9,9 +9,10 @@ use std::fmt::Write;
 use std::time::Instant;
 
 /// Of FSJ and zeta.
-type Pair = (f64, f64);
+pub type Pair = (f64, f64);
 
-fn located(cases: &[Case]) -> impl Iterator<Item = (&Case, (f64, f64), (f64, f64))> {
+/// Located ones with their widths and errors.
+pub fn located(cases: &[Case]) -> impl Iterator<Item = (&Case, Pair, Pair)> {
     cases.iter().filter_map(|c| c.found.map(|(w, e)| (c, w, e)))
 }
 

@@ -1,14 +1,14 @@
 //! Units with a history: after an acceptance test and a number of later ones, and over a life.
 
-use super::other_hand;
-use super::{FSJ, ZETA, maps_of, percent, quantile};
+use super::record::{self, Pair};
+use super::{Case, FSJ, ZETA, maps_of, other_hand, percent, quantile};
 use crate::independent::Command;
 use anyhow::{Context, Result};
-use diagnoser::diagnosis::{COVERAGE, Diagnoser, Outcome};
+use diagnoser::diagnosis::{COVERAGE, Outcome};
 use diagnoser::failure_map::FailureMapSet;
 use diagnoser::unit::{Constants, UnitCalibration, UnitFile};
 use pipeline::calibrate::{Unit, measure};
-use pipeline::unit::UnitEffort;
+use pipeline::unit::{UnitEffort, draw_test};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -35,12 +35,6 @@ const THIRDS: usize = 3;
 const HEAD: &str = "| test | history | truth inside % | not located | width FSJ %, median (95th) | width zeta | error FSJ %, median (95th) |\n\
                     |---|---|---|---|---|---|---|\n";
 
-/// One simulated unit: faults of its tests, in order.
-struct Life {
-    own: [f64; Cause::COUNT],
-    faults: Vec<(f64, f64)>,
-}
-
 fn drawn(spread: &Spread, rng: &mut ChaCha8Rng) -> [f64; Cause::COUNT] {
     std::array::from_fn(|c| {
         let x = rng.random_range(-1.0..1.0);
@@ -48,64 +42,20 @@ fn drawn(spread: &Spread, rng: &mut ChaCha8Rng) -> [f64; Cause::COUNT] {
     })
 }
 
-/// The tests of all units; what is of a test is another one in each.
-fn tests_of(lives: &[Life], prior: &Constants, rng: &mut ChaCha8Rng) -> Vec<Unit> {
-    let mut tests = Vec::new();
-    for life in lives {
-        for &(fsj, zeta) in &life.faults {
-            let mut draw = life.own;
-            for (c, _) in &prior.of_test {
-                draw[*c as usize] = rng.random_range(-1.0..1.0);
-            }
-            tests.push(Unit {
-                fault: FaultState { fsj, zeta },
-                draw,
-                seed: rng.random(),
-            });
-        }
-    }
-    tests
-}
-
-/// What became of a test.
-#[derive(Clone, Debug)]
-struct Seen {
-    fault: (f64, f64),
-    outcome: &'static str,
-    /// both true faults in their intervals
-    inside: bool,
-    /// of FSJ, relative, and of zeta
-    width: Option<(f64, f64)>,
-    /// of FSJ, relative
-    error: Option<f64>,
-}
-
-impl Seen {
-    fn of(d: &Outcome, fault: (f64, f64)) -> Self {
-        let area = d.area();
-        Self {
-            fault,
-            outcome: d.name(),
-            inside: area.is_some_and(|a| a.fsj.contains(fault.0) && a.zeta.contains(fault.1)),
-            width: area.map(|a| (a.fsj.width() / fault.0, a.zeta.width())),
-            error: area.map(|a| a.centroid.0 / fault.0 - 1.0),
-        }
-    }
-}
-
-fn row(title: &str, all: &[Seen]) -> String {
-    let inside = all.iter().filter(|s| s.inside).count();
-    let refused = all.iter().filter(|s| s.outcome != "located").count();
-    let w = |q, f: fn((f64, f64)) -> f64| quantile(all.iter().filter_map(|s| s.width.map(f)), q);
-    let e = |q| quantile(all.iter().filter_map(|s| s.error).map(|e| 100.0 * e.abs()), q);
+fn row(title: &str, all: &[Case]) -> String {
+    let inside = all.iter().filter(|c| c.inside).count();
+    let refused = all.iter().filter(|c| c.outcome != "located").count();
+    let of = |q, f: fn(&Case, Pair, Pair) -> f64| quantile(record::located(all).map(|(c, w, e)| f(c, w, e)), q);
+    let width = |q| of(q, |c, w, _| 100.0 * w.0 / c.fsj);
+    let error = |q| of(q, |c, _, e| 100.0 * (e.0 / c.fsj).abs());
     format!(
         "| {title} | {} | {refused} | {:.2} ({:.2}) | {:.4} | {:.2} ({:.2}) |\n",
         percent(inside, all.len()),
-        100.0 * w(0.5, |w| w.0),
-        100.0 * w(0.95, |w| w.0),
-        w(0.5, |w| w.1),
-        e(0.5),
-        e(0.95)
+        width(0.5),
+        width(0.95),
+        of(0.5, |_, w, _| w.1),
+        error(0.5),
+        error(0.95)
     )
 }
 
@@ -160,17 +110,17 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
             };
             let ours = |units: &[Unit]| measure(&setup, &kind.prior.spread(), units, "units")?.context("interrupted");
             let units = kind.units(n, &mut rng, grown, ours)?;
-            let all: Vec<Seen> = units.into_par_iter().filter_map(|mut tests| tests.pop()).collect();
+            let all: Vec<Case> = units.into_iter().filter_map(|mut tests| tests.pop()).collect();
             out += &row(&format!("{sequence} | 1 + {history}"), &all);
             for k in 0..4 {
-                let within = |s: &&Seen| (s.fault.0 - 1.0).floor() as usize == k;
-                let of: Vec<Seen> = all.iter().filter(within).cloned().collect();
+                let within = |c: &&Case| (c.fsj - 1.0).floor() as usize == k;
+                let of: Vec<Case> = all.iter().filter(within).cloned().collect();
                 out += &row(&format!("{sequence} | 1 + {history}, FSJ {} to {}", k + 1, k + 2), &of);
             }
             if history == 0 {
                 let theirs = |units: &[Unit]| Ok(other_hand::measure(&setup, &kind.prior.spread(), units, &command));
                 let units = kind.units(n, &mut rng, grown, theirs)?;
-                let all: Vec<Seen> = units.into_iter().flatten().collect();
+                let all: Vec<Case> = units.into_iter().flatten().collect();
                 out += &row(&format!("{sequence}, simulated by another hand | 1 + {history}"), &all);
             }
         }
@@ -186,11 +136,11 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
         let ours = |units: &[Unit]| measure(&setup, &kind.prior.spread(), units, "lives")?.context("interrupted");
         let units = kind.units(n.div_ceil(LIVES_OF), &mut rng, life, ours)?;
         for part in 0..THIRDS {
-            let of = |t: &Vec<Seen>| t[part * t.len() / THIRDS..(part + 1) * t.len() / THIRDS].to_vec();
-            let all: Vec<Seen> = units.iter().flat_map(of).collect();
+            let of = |t: &Vec<Case>| t[part * t.len() / THIRDS..(part + 1) * t.len() / THIRDS].to_vec();
+            let all: Vec<Case> = units.iter().flat_map(of).collect();
             lives += &row(&format!("{sequence} | third {}", part + 1), &all);
         }
-        let after: Vec<Seen> = units.iter().map(|t| t[LIFE / 2].clone()).collect();
+        let after: Vec<Case> = units.iter().map(|t| t[LIFE / 2].clone()).collect();
         lives += &row(&format!("{sequence} | first after the step"), &after);
     }
     Ok(out + &lives)
@@ -206,50 +156,49 @@ struct Kind<'a> {
 impl Kind<'_> {
     /// Units and what their tests said, all but the acceptance test.
     ///
+    /// * `faults` of a unit's tests, in order
     /// * `measure` simulates tests
     fn units(
         &self,
         n: usize,
         rng: &mut ChaCha8Rng,
-        faults: impl Fn(&mut ChaCha8Rng) -> Vec<(f64, f64)>,
+        faults: impl Fn(&mut ChaCha8Rng) -> Vec<Pair>,
         measure: impl Fn(&[Unit]) -> Result<Vec<RawFeatures>>,
-    ) -> Result<Vec<Vec<Seen>>> {
+    ) -> Result<Vec<Vec<Case>>> {
         let spread = self.prior.spread();
-        let lives: Vec<Life> = (0..n)
-            .map(|_| Life {
-                own: drawn(&spread, rng),
-                faults: faults(rng),
-            })
-            .collect();
-        let tests = tests_of(&lives, self.prior, rng);
+        let lives: Vec<_> = (0..n).map(|_| (drawn(&spread, rng), faults(rng))).collect();
+        let mut tests = Vec::new();
+        for (own, faults) in &lives {
+            for &(fsj, zeta) in faults {
+                tests.push(draw_test(self.prior, *own, rng, |_| FaultState { fsj, zeta }));
+            }
+        }
         let raw = measure(&tests)?;
-        let each = lives.first().map_or(1, |l| l.faults.len());
-        let of = |(life, raw): (&Life, &[RawFeatures])| self.followed(&life.faults, raw);
-        lives.par_iter().zip(raw.par_chunks(each)).map(of).collect()
+        let each = lives.first().map_or(1, |l| l.1.len());
+        let of = |(tests, raw): (&[Unit], &[RawFeatures])| self.followed(&spread, tests, raw);
+        tests.par_chunks(each).zip(raw.par_chunks(each)).map(of).collect()
     }
 
-    /// What each test says before it goes in; the first is the acceptance test.
-    fn followed(&self, faults: &[(f64, f64)], raw: &[RawFeatures]) -> Result<Vec<Seen>> {
+    /// What each test of a unit says before it goes in; the first is the acceptance test.
+    fn followed(&self, spread: &Spread, tests: &[Unit], raw: &[RawFeatures]) -> Result<Vec<Case>> {
         let features: Vec<Features> = raw.iter().map(|r| self.set.features(r)).collect();
-        let mut constants = self
+        let learnt = self.calibration.healthy(self.prior, &features[..1]);
+        let healthy = usize::from(learnt.is_ok());
+        let mut constants = learnt.unwrap_or_else(|_| self.prior.clone());
+        let mut diagnoser = self
             .calibration
-            .healthy(self.prior, &features[..1])
-            .unwrap_or_else(|_| self.prior.clone());
-        let none = Vec::new();
-        let base: Diagnoser = self
-            .calibration
-            .diagnoser(self.set.clone(), &constants, 1, COVERAGE, &none)?;
-        let mut seen = Vec::new();
-        let mut taken = 0;
-        for (features, fault) in features.iter().zip(faults).skip(1) {
-            let d = base.again_with(&constants.factors(&none));
-            let outcome = d.diagnose(features, &[]).outcome;
-            if matches!(outcome, Outcome::Located(_)) && constants.learn_when_worn(1) {
-                taken += 1;
-                constants = constants.after_test(&d, features, taken).unwrap_or(constants);
+            .diagnoser(self.set.clone(), &constants, healthy, COVERAGE, &Vec::new())?;
+        let mut cases = Vec::new();
+        let mut worn = 0;
+        for (features, test) in features.iter().zip(tests).skip(1) {
+            let d = diagnoser.diagnose(features, &[]);
+            if matches!(d.outcome, Outcome::Located(_)) && constants.learn_when_worn(healthy) {
+                worn += 1;
+                constants = constants.after_test(&diagnoser, features, worn).unwrap_or(constants);
+                diagnoser = diagnoser.again_with(&constants.factors(&Vec::new()));
             }
-            seen.push(Seen::of(&outcome, *fault));
+            cases.push(Case::of(spread, test, d));
         }
-        Ok(seen)
+        Ok(cases)
     }
 }
