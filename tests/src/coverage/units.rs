@@ -3,7 +3,7 @@
 use super::record::{self, Pair};
 use super::{Case, FSJ, ZETA, maps_of, other_hand, percent, quantile};
 use crate::independent::Command;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use diagnoser::diagnosis::{COVERAGE, Outcome};
 use diagnoser::failure_map::FailureMapSet;
 use diagnoser::unit::{Constants, UnitCalibration, UnitFile};
@@ -26,6 +26,9 @@ const HISTORIES: [usize; 3] = [0, 10, 30];
 /// Tests of a whole life, and by how much FSJ jumps in its middle.
 const LIFE: usize = 300;
 const STEP: f64 = 0.7;
+
+/// Tests of one unit whose diagnoses are timed.
+const TIMED: usize = 200;
 
 /// Of so many units one lives through it.
 const LIVES_OF: usize = 5;
@@ -75,6 +78,7 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
          shown to the unit.\n\n{HEAD}",
         n.div_ceil(LIVES_OF)
     );
+    let mut times = String::from("\n### A diagnosis of a unit from features, one thread\n\n");
     for sequence in ["preflight", "preflight2"] {
         let (set, setup) = maps_of(&cache.join(sequence), sequence, grid, 0.0)?;
         let unit = UnitFile::new(
@@ -135,6 +139,8 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
         };
         let ours = |units: &[Unit]| measure(&setup, &kind.prior.spread(), units, "lives")?.context("interrupted");
         let units = kind.units(n.div_ceil(LIVES_OF), &mut rng, life, ours)?;
+        let (us, us_95) = kind.time_us(&mut rng, ours)?;
+        times += &format!("- {sequence}: {us:.0} us median, {us_95:.0} us at the 95th percentile\n");
         for part in 0..THIRDS {
             let of = |t: &Vec<Case>| t[part * t.len() / THIRDS..(part + 1) * t.len() / THIRDS].to_vec();
             let all: Vec<Case> = units.iter().flat_map(of).collect();
@@ -143,7 +149,7 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
         let after: Vec<Case> = units.iter().map(|t| t[LIFE / 2].clone()).collect();
         lives += &row(&format!("{sequence} | first after the step"), &after);
     }
-    Ok(out + &lives)
+    Ok(out + &lives + &times)
 }
 
 /// A kind of test, and what is known of units before theirs.
@@ -177,6 +183,28 @@ impl Kind<'_> {
         let each = lives.first().map_or(1, |l| l.1.len());
         let of = |(tests, raw): (&[Unit], &[RawFeatures])| self.followed(&spread, tests, raw);
         tests.par_chunks(each).zip(raw.par_chunks(each)).map(of).collect()
+    }
+
+    /// Microseconds of a diagnosis of one unit from features: median and 95th percentile.
+    fn time_us(
+        &self,
+        rng: &mut ChaCha8Rng,
+        measure: impl Fn(&[Unit]) -> Result<Vec<RawFeatures>>,
+    ) -> Result<(f64, f64)> {
+        let own = drawn(&self.prior.spread(), rng);
+        let anywhere = |rng: &mut ChaCha8Rng| FaultState {
+            fsj: rng.random_range(FSJ.0..FSJ.1),
+            zeta: rng.random_range(ZETA.0..ZETA.1),
+        };
+        let mut tests = vec![draw_test(self.prior, own, rng, |_| FaultState::NOMINAL)];
+        tests.extend((0..TIMED).map(|_| draw_test(self.prior, own, rng, anywhere)));
+        let raw = measure(&tests)?;
+        let learnt = self.calibration.healthy(self.prior, &[self.set.features(&raw[0])]);
+        let constants = learnt.map_err(|(found, allowed)| anyhow!("a healthy unit is refused: {found} > {allowed}"))?;
+        let diagnoser = self
+            .calibration
+            .diagnoser(self.set.clone(), &constants, 1, COVERAGE, &Vec::new())?;
+        Ok(record::time_us(&diagnoser, &tests[1..], &raw[1..]))
     }
 
     /// What each test of a unit says before it goes in; the first is the acceptance test.
