@@ -364,7 +364,7 @@ impl Diagnoser {
         let best = self.estimator.best(&values, gate);
         *misfit = best.as_ref().map(|b| b.misfit);
         if let Some(best) = best.filter(|b| b.misfit <= gate) {
-            if let Some(outcome) = self.overruled(features, &best) {
+            if let Some(outcome) = self.overruled(&values, features, &best) {
                 return outcome;
             }
             return match self.area_about(&values, &best) {
@@ -405,14 +405,14 @@ impl Diagnoser {
     }
 
     /// Witnesses that speak against the pair that the maps agree on.
-    fn overruled(&self, features: &Features, best: &Estimate) -> Option<Outcome> {
+    fn overruled(&self, values: &Row, features: &Features, best: &Estimate) -> Option<Outcome> {
         // what they should be beyond the maps nobody knows
         let limits = self.estimator.limits();
         let within = |x: f64, (lo, hi): (f64, f64)| lo <= x && x <= hi;
         if !(within(best.fsj, limits.f) && within(best.zeta, limits.z)) {
             return None;
         }
-        let mut odd = self.estimator.witnesses(features, best);
+        let mut odd = self.estimator.witnesses(values, features, best);
         odd.retain(|(.., z)| z.abs() > self.witness_gate);
         odd.sort_by(|a, b| b.3.abs().total_cmp(&a.3.abs()));
         if odd.is_empty() {
@@ -549,7 +549,7 @@ impl Diagnoser {
         let values = self.whole(features)?;
         let best = self.estimator.best(&values, self.gate)?;
         let profile = self.estimator.profile(&values, &best, fsj, zeta);
-        let witnesses = self.estimator.witnesses(features, &best);
+        let witnesses = self.estimator.witnesses(&values, features, &best);
         Some(Score {
             reach: (profile - best.misfit).max(0.0).sqrt(),
             misfit: best.misfit,

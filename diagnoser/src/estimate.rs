@@ -469,30 +469,47 @@ impl Estimator {
     }
 
     /// How far each witness that is there lies from what it should be at the best pair, in standard
-    /// uncertainties: sensors, the surface between its grid points, the unit's spread, and what the pair
-    /// itself is uncertain by. With what it is and what it should be.
-    pub fn witnesses(&self, features: &Features, best: &Estimate) -> Vec<(Feature, f64, f64, f64)> {
+    /// uncertainties: sensors, the surface between its grid points, what the pair itself is uncertain by, and what the
+    /// joint features leave open of the unit's spread. With what it is and what it should be.
+    ///
+    /// * `values` joint features that the pair is of
+    pub fn witnesses(&self, values: &Row, features: &Features, best: &Estimate) -> Vec<(Feature, f64, f64, f64)> {
         let (fsj, zeta) = (best.fsj, best.zeta);
         let (_, by_f, by_z) = self.lattice.with_slopes(fsj, zeta);
         let (a, b) = (apply(&best.whitening, &by_f), apply(&best.whitening, &by_z));
         let dot = |x: &Row, y: &Row| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
         let (aa, ab, bb) = (dot(&a, &a), dot(&a, &b), dot(&b, &b));
         let det = (aa * bb - ab * ab).max(1e-300);
-        let common = self.witness_causes.as_ref().map(|c| c.at(fsj, zeta, &NO_GUESS));
+        // what the joint features say of the causes at this pair: S^T C^-1 r, and 1 - S^T C^-1 S is left
+        let z = self.residual(values, best, fsj, zeta);
+        let joint = self.straight(fsj, zeta, &best.guess);
+        let mut said = [[0.0; MOST]; Cause::COUNT];
+        if let Some(s) = &joint {
+            for (g, slope) in said.iter_mut().zip(&s.slopes[..s.causes]) {
+                *g = apply(&best.whitening, slope);
+            }
+        }
+        let common = self.witness_causes.as_ref().map(|c| c.at(fsj, zeta, &best.guess));
         let one = |(k, w): (usize, &FailureMap)| {
             let found = features.get(w.feature).filter(|v| v.is_finite())?;
-            let expected = w.witness_at(fsj, zeta) + common.map_or(0.0, |s| s.shift[k]);
+            let mut through = [0.0; MOST];
+            for (g, s) in said.iter().zip(common.iter().flat_map(|s| &s.slopes[..s.causes])) {
+                through.iter_mut().zip(g).for_each(|(t, g)| *t += s[k] * g);
+            }
+            let expected = w.witness_at(fsj, zeta) + common.map_or(0.0, |s| s.shift[k]) + dot(&through, &z);
             let (df, dz) = (
                 1e-2 * (self.limits.f.1 - self.limits.f.0),
                 1e-2 * (self.limits.z.1 - self.limits.z.0),
             );
-            let slope_f = (w.witness_at(fsj + df, zeta) - w.witness_at(fsj - df, zeta)) / (2.0 * df);
-            let slope_z = (w.witness_at(fsj, zeta + dz) - w.witness_at(fsj, zeta - dz)) / (2.0 * dz);
+            let slope_f =
+                (w.witness_at(fsj + df, zeta) - w.witness_at(fsj - df, zeta)) / (2.0 * df) - dot(&through, &a);
+            let slope_z =
+                (w.witness_at(fsj, zeta + dz) - w.witness_at(fsj, zeta - dz)) / (2.0 * dz) - dot(&through, &b);
             let of_pair = (bb * slope_f * slope_f - 2.0 * ab * slope_f * slope_z + aa * slope_z * slope_z) / det;
-            let of_causes = common_variance(&common, k);
+            let of_causes = common_variance(&common, k) - dot(&through, &through);
             let own = w.uncertainty(fsj, zeta).powi(2) + self.witness_remainder[k].powi(2) + self.discrepancy.1[k];
             let least = least_uncertainty(w.feature);
-            let u = (own + of_causes + of_pair.max(0.0) + least * least).sqrt();
+            let u = (own + of_causes.max(0.0) + of_pair.max(0.0) + least * least).sqrt();
             Some((w.feature, found, expected, (found - expected) / u))
         };
         self.witnesses.iter().enumerate().filter_map(one).collect()

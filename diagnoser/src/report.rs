@@ -18,7 +18,10 @@ pub fn to_json(d: &Diagnosis) -> Value {
     let area = d.outcome.area();
     let told = Feature::TOLD.into_iter().map(|f| (f, json!(d.features.get(f))));
     // those of certain sequences stand where there is one
-    let more = Feature::FINER.into_iter().chain(Feature::CAUSES);
+    let more = Feature::FINER
+        .into_iter()
+        .chain(Feature::CAUSES)
+        .chain(Feature::WATCHES);
     let more = more.filter_map(|f| Some((f, json!(d.features.get(f)?))));
     let features = told.chain(more).map(|(f, v)| (f.key().to_string(), v));
     let mut object = json!({

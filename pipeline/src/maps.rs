@@ -219,7 +219,7 @@ pub fn of_grid(
             (Feature::P3, Some(a), Some(p0)) => a / header.kind.rate_hz / p0,
             _ => 0.0,
         };
-        if Feature::WITNESSES.contains(&feature) {
+        if feature.is_witness() {
             witnesses.extend(FailureMap::of_witness(feature, fsj, zeta, raw, noise));
             continue;
         }

@@ -56,6 +56,13 @@ raw_features! {
     SlowLag "slow_lag" "s" "from the turning points of the slow cosine's command until the motor leaves its own, mean of both directions",
     LegCurrent "leg_current" "A" "half the difference of the mean torque-giving currents of the lines there and back",
     Supply "supply" "V" "mean supply voltage in the regime window",
+    ThirdCosine "third_cosine" "rad/s" "amplitude of the motor speed's third order a turn in the regime window, with the cosine of the rotor angle",
+    ThirdSine "third_sine" "rad/s" "the same with the sine",
+    OtherOrders "other_orders" "rad/s" "root mean square of the motor speed's orders a turn up to 5, halves included, but the third, in the regime window",
+    CurrentTrend "current_trend" "A" "mean torque-giving current in the second half of the regime window less that in the first",
+    RunUpCurrent "run_up_current" "A" "mean torque-giving current from the step to half the no-load speed",
+    KineticTilt "kinetic_tilt" "A" "slope over the place of the torque-giving current's part that turns round with the motion in the sine, places in amplitudes",
+    KineticBend "kinetic_bend" "A" "its bend over the place",
 }
 
 impl Raw {
@@ -123,6 +130,8 @@ pub enum Role {
     /// Failure maps locate faults by it where the sequence has what it is taken from (`preflight2`). It stands in files and
     /// reports, not in messages.
     Finer,
+    /// A witness that stands in files and reports, not in messages.
+    Watches,
     /// No fault changes it, but a cause that units differ by: with it that cause is known in the test. A test may lack it.
     Cause,
 }
@@ -195,6 +204,20 @@ features! {
         "Torque-giving current at a low steady speed: what dynamic and viscous friction take together (not in the paper)",
     Supply "supply" "V" Cause (-1.0, -1.0) Same(Supply) "supply voltage (step)"
         "Mean supply voltage in P1's window (not in the paper)",
+    ThirdCosine "third_cosine" "rad/s" Watches (1.0, 1.0) Same(ThirdCosine) "third order of the speed, cosine (step)"
+        "Amplitude of the motor speed's third order a turn with the cosine of the rotor angle: what static eccentricity makes, on the side on which it is (not in the paper)",
+    ThirdSine "third_sine" "rad/s" Watches (1.0, 1.0) Same(ThirdSine) "third order of the speed, sine (step)"
+        "The same with the sine (not in the paper)",
+    OtherOrders "other_orders" "rad/s" Watches (1.0, 1.0) Same(OtherOrders) "other orders of the speed (step)"
+        "Root mean square of the motor speed's other orders a turn: what neither eccentricity nor commutation makes (not in the paper)",
+    CurrentTrend "current_trend" "A" Watches (1.0, 1.0) Same(CurrentTrend) "trend of the current (step)"
+        "Rise of the torque-giving current from the first to the second half of P1's window: what resists more with the way (not in the paper)",
+    RunUpCurrent "run_up_current" "A" Watches (1.0, 1.0) Same(RunUpCurrent) "current of the run-up (step)"
+        "Mean torque-giving current until half the no-load speed is reached: what the inertia takes by the current sensors (not in the paper)",
+    KineticTilt "kinetic_tilt" "A" Watches (1.0, 1.0) Same(KineticTilt) "kinetic current by place (sine)"
+        "Slope over the place of the current that turns round with the motion: friction that differs by place (not in the paper)",
+    KineticBend "kinetic_bend" "A" Watches (1.0, 1.0) Same(KineticBend) "kinetic current at the ends (sine)"
+        "Bend over the place of the current that turns round with the motion: friction that differs by speed (not in the paper)",
 }
 
 impl Feature {
@@ -211,13 +234,21 @@ impl Feature {
     pub const FINER: [Feature; number(Role::Finer)] = of_role(Role::Finer);
     /// Those that say by how much a cause deviates in the test.
     pub const CAUSES: [Feature; number(Role::Cause)] = of_role(Role::Cause);
-    /// Those of messages and logs, in the order of the table: all but those of units and of certain sequences.
-    pub const TOLD: [Feature; Self::COUNT - number(Role::Unit) - number(Role::Finer) - number(Role::Cause)] = told();
+    /// Witnesses that messages do not tell.
+    pub const WATCHES: [Feature; number(Role::Watches)] = of_role(Role::Watches);
+    /// Those of messages and logs, in the order of the table: all but those of units, of certain sequences and later witnesses.
+    pub const TOLD: [Feature;
+        Self::COUNT - number(Role::Unit) - number(Role::Finer) - number(Role::Cause) - number(Role::Watches)] = told();
+
+    /// Whether faults hardly change it and other defects do.
+    pub fn is_witness(self) -> bool {
+        matches!(self.role(), Role::Witness | Role::Watches)
+    }
 
     /// Those that have maps.
     pub fn every() -> impl Iterator<Item = Feature> {
         let of_units = Self::WITNESSES.into_iter().chain(Self::OF_UNITS);
-        let others = of_units.chain(Self::FINER).chain(Self::CAUSES);
+        let others = of_units.chain(Self::FINER).chain(Self::CAUSES).chain(Self::WATCHES);
         Self::ALL.into_iter().chain(others)
     }
 
@@ -301,7 +332,10 @@ const fn number(role: Role) -> usize {
 const fn told<const N: usize>() -> [Feature; N] {
     let (mut found, mut n, mut k) = ([Feature::TABLE[0]; N], 0, 0);
     while k < Feature::COUNT {
-        if !matches!(Feature::TABLE[k].role(), Role::Unit | Role::Finer | Role::Cause) {
+        if !matches!(
+            Feature::TABLE[k].role(),
+            Role::Unit | Role::Finer | Role::Cause | Role::Watches
+        ) {
             found[n] = Feature::TABLE[k];
             n += 1;
         }
@@ -393,16 +427,19 @@ mod tests {
     fn prop_names_and_numbers_of_files_and_messages_stay() {
         let keys = "p1_rad_per_s p2_a p3 ripple_rad_per_s speed_loss_rad_per_s rise_s current_rms_a sine_travel_rad \
                     current_sum_a current_imbalance even_current_a bias_current_a p3_rad kinetic_current_a \
-                    slow_break_away_a slow_kinetic_a slow_lag_s leg_current_a supply_v";
+                    slow_break_away_a slow_kinetic_a slow_lag_s leg_current_a supply_v third_cosine_rad_per_s \
+                    third_sine_rad_per_s other_orders_rad_per_s current_trend_a run_up_current_a kinetic_tilt_a kinetic_bend_a";
         assert_eq!(Feature::TABLE.map(Feature::key).join(" "), keys);
         let columns = "mean_speed_sd_rad_per_s ripple_sd_rad_per_s p2_sd_a p3_sd_rad rise_sd_s current_rms_sd_a \
                        sine_travel_sd_rad current_sum_sd_a current_imbalance_sd even_current_sd_a bias_current_sd_a \
-                       kinetic_current_sd_a slow_break_away_sd_a slow_kinetic_sd_a slow_lag_sd_s leg_current_sd_a supply_sd_v";
+                       kinetic_current_sd_a slow_break_away_sd_a slow_kinetic_sd_a slow_lag_sd_s leg_current_sd_a supply_sd_v \
+                       third_cosine_sd_rad_per_s third_sine_sd_rad_per_s other_orders_sd_rad_per_s current_trend_sd_a \
+                       run_up_current_sd_a kinetic_tilt_sd_a kinetic_bend_sd_a";
         assert_eq!(RawFeatures::DEVIATIONS.join(" "), columns);
         assert_eq!(RawFeatures::COLUMNS.join(" "), columns.replace("_sd", ""));
         assert_eq!((Feature::ALL.len(), Feature::WITNESSES.len()), (7, 5));
         let all = Feature::every().map(|f| f as usize);
-        assert!(all.eq((0..12).chain(13..19)));
+        assert!(all.eq((0..12).chain(13..26)));
         assert_eq!(Feature::TOLD.map(|f| f as usize).to_vec(), (0..13).collect::<Vec<_>>());
         assert_eq!(Feature::P1.parts(), Some([Feature::SpeedLoss, Feature::Ripple]));
         assert!(Feature::TABLE[1..].iter().all(|f| f.parts().is_none()));

@@ -5,6 +5,7 @@ use crate::monitor::MonitorTrack;
 use crate::onset::{Onset, OnsetPlan};
 use crate::parameters::ActuatorParameters;
 use crate::reversal::{ReversalPlan, ReversalTrack};
+use crate::step_witness::{Sample, StepWitness};
 use crate::suspect::{Jumps, Outlier, PhaseSum};
 use crate::witness::{SineShape, SineWitness, imbalance, torque_current};
 use schemas::channel::{Channel, ChannelSet};
@@ -307,6 +308,7 @@ pub struct FeatureExtractor {
     rise_pending_s: Option<f64>,
     rise_s: Option<f64>,
     onset: Onset,
+    step_witness: StepWitness,
     // what cannot be true
     regime_sum: PhaseSum,
     regime_jumps: Jumps,
@@ -347,6 +349,7 @@ impl FeatureExtractor {
             rise_pending_s: None,
             rise_s: None,
             onset: Onset::default(),
+            step_witness: StepWitness::default(),
             regime_sum: PhaseSum::default(),
             regime_jumps: Jumps::default(),
             sine_phase_sum: PhaseSum::default(),
@@ -404,6 +407,7 @@ impl FeatureExtractor {
             self.rise(w, view.first, &omega[w.rows(view)]);
         }
         self.begin(view, phases);
+        self.watch_step(view, phases);
         if let Some(w) = self.plan.sine {
             let rows = w.rows(view);
             self.witness.push(&self.plan.sine_shape, view, rows.clone());
@@ -509,6 +513,36 @@ impl FeatureExtractor {
         }
     }
 
+    /// Follows the step for its witnesses; the run-up not after a gap.
+    fn watch_step(&mut self, view: &TelemetryView<'_>, phases: [Option<&[f64]>; 3]) {
+        let motion = (view.column(Channel::ThetaM), view.column(Channel::OmegaM));
+        let ((Some(theta), Some(omega)), [Some(a), Some(b), Some(c)], false) =
+            (motion, phases, self.plan.equivalent_current)
+        else {
+            return;
+        };
+        let (pole_pairs, sign) = (self.plan.pole_pairs(), 1f64.copysign(self.plan.step_rad));
+        let sample = |i: usize| Sample {
+            theta_rad: theta[i],
+            omega_rad_per_s: omega[i],
+            phases_a: [a[i], b[i], c[i]],
+        };
+        if let (Some(w), false) = (self.plan.step, self.step_witness.has_run_up()) {
+            let rows = w.rows(view);
+            if view.first + rows.start as u64 == w.from + self.step_witness.run_up_seen() {
+                let end = self.plan.rise_rad_per_s;
+                rows.for_each(|i| self.step_witness.push_run_up(sample(i), pole_pairs, sign, end));
+            }
+        }
+        if let Some(w) = self.plan.regime {
+            let middle = w.from + w.len() / 2;
+            for i in w.rows(view) {
+                let second = view.first + i as u64 >= middle;
+                self.step_witness.push_regime(sample(i), pole_pairs, sign, second);
+            }
+        }
+    }
+
     /// What cannot be true, in windows that are complete.
     fn suspects(&self) -> Suspects {
         let (regime, sine) = (self.plan.regime, self.plan.sine);
@@ -562,6 +596,10 @@ impl FeatureExtractor {
         let regime_holds = phases && suspect.regime_sum.is_none() && suspect.late_s.is_none();
         let sine_holds = sine && suspect.sine_sum.is_none() && suspect.late_s.is_none();
         let even = self.witness.even_current_a().filter(|_| sine_holds);
+        let shape = self.witness.kinetic_shape_a().filter(|_| sine_holds);
+        let turning = (regime_holds && speed_holds)
+            .then(|| self.step_witness.turning())
+            .flatten();
         let reversals = self.reversals.as_ref().and_then(ReversalTrack::found);
         let reversals = reversals.filter(|_| suspect.late_s.is_none());
         let value = |raw| match raw {
@@ -587,6 +625,16 @@ impl FeatureExtractor {
             Raw::Supply => whole(self.plan.regime, self.supply.1)
                 .then(|| self.supply.0 / self.supply.1 as f64)
                 .filter(|v| v.is_finite()),
+            Raw::ThirdCosine => turning.map(|t| t.third_cosine),
+            Raw::ThirdSine => turning.map(|t| t.third_sine),
+            Raw::OtherOrders => turning.map(|t| t.others),
+            Raw::CurrentTrend => self.step_witness.current_trend_a().filter(|_| regime_holds),
+            Raw::RunUpCurrent => self
+                .step_witness
+                .run_up_current_a()
+                .filter(|_| suspect.late_s.is_none()),
+            Raw::KineticTilt => shape.map(|s| s.0),
+            Raw::KineticBend => shape.map(|s| s.1),
         };
         let rest = self.rest_rad.map(|r| r.rem_euclid(std::f64::consts::TAU));
         RawFeatures::from_values(Raw::ALL.map(value), rest)

@@ -58,6 +58,7 @@ pub mod sensor;
 pub mod setup;
 pub mod simulate;
 pub mod spread;
+pub mod step_witness;
 pub mod suspect;
 pub mod test_bench;
 pub mod trig;

@@ -118,6 +118,34 @@ impl SineWitness {
         (count >= BINS / 3).then(|| sum / count as f64)
     }
 
+    /// How that part differs from place to place: its slope and its bend over the place, places in amplitudes of the sine
+    /// [A]. Friction that differs by place tilts it, friction that differs by speed bends it: turning points are slow.
+    pub fn kinetic_shape_a(&self) -> Option<(f64, f64)> {
+        let place = |k: usize| ((k as f64 + 0.5) * 2.0 / BINS as f64 - 1.0) * REACH;
+        let (mut n, mut x1, mut x2, mut y1) = (0.0, 0.0, 0.0, 0.0);
+        for (k, back, forth) in self.both_ways() {
+            let x = place(k);
+            n += 1.0;
+            x1 += x;
+            x2 += x * x;
+            y1 += 0.5 * (forth - back);
+        }
+        if n < (BINS / 3) as f64 {
+            return None;
+        }
+        let (mx, mxx, my) = (x1 / n, x2 / n, y1 / n);
+        let (mut xx, mut xy, mut qq, mut qy) = (0.0, 0.0, 0.0, 0.0);
+        for (k, back, forth) in self.both_ways() {
+            let (x, y) = (place(k) - mx, 0.5 * (forth - back) - my);
+            let q = place(k).powi(2) - mxx;
+            xx += x * x;
+            xy += x * y;
+            qq += q * q;
+            qy += q * y;
+        }
+        Some((xy / xx, qy / qq))
+    }
+
     /// Places that were passed often enough both ways: number, mean torque-giving current back and forth [A].
     fn both_ways(&self) -> impl Iterator<Item = (usize, f64, f64)> {
         let mean = |(sum, n): (f64, u32)| sum / f64::from(n);
@@ -233,6 +261,9 @@ mod tests {
         let (_, even) = witness(0.0, 0.04).even_current_a().unwrap();
         assert!((even - 0.04 / 2f64.sqrt()).abs() < 4e-3, "{even}");
         assert!((witness(0.0, 0.0).travel_rad().unwrap() - 1.0).abs() < 1e-6);
+        // friction that is the same everywhere is flat
+        let (tilt, bend) = witness(0.0, 0.0).kinetic_shape_a().unwrap();
+        assert!(tilt.abs() < 2e-3 && bend.abs() < 2e-3, "{tilt} {bend}");
         // friction alone, whatever is added that does not turn round
         for (bias, cogging) in [(0.0, 0.0), (0.05, 0.0), (0.0, 0.04)] {
             let kinetic = witness(bias, cogging).kinetic_current_a().unwrap();

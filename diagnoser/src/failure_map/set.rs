@@ -287,7 +287,7 @@ impl FailureMapSet {
             let budget = stored.budgets.get(feature.name()).cloned();
             let budget = budget.ok_or_else(|| Error::bad(&file, "budgets", "nothing", feature.name()))?;
             let raw: Vec<f64> = rows.iter().map(|r| r[3]).collect();
-            if Feature::WITNESSES.contains(&feature) {
+            if feature.is_witness() {
                 let place = format!("witness {}", feature.name());
                 let map = FailureMap::of_witness(feature, &fsj, &zeta, raw, budget.noise);
                 witnesses.push(map.ok_or_else(|| Error::bad(&file, place, "not a number", "numbers"))?);

@@ -55,6 +55,7 @@ impl<'a> FeatureRanges<'a> {
         let motor = travel * a.gear_ratio;
         Raw::ALL.map(|raw| match raw {
             Raw::MeanSpeed | Raw::Ripple => user,
+            Raw::ThirdCosine | Raw::ThirdSine | Raw::OtherOrders => user * a.gear_ratio,
             Raw::P2
             | Raw::CurrentRms
             | Raw::CurrentSum
@@ -63,7 +64,11 @@ impl<'a> FeatureRanges<'a> {
             | Raw::KineticCurrent
             | Raw::SlowBreakAway
             | Raw::SlowKinetic
-            | Raw::LegCurrent => current,
+            | Raw::LegCurrent
+            | Raw::CurrentTrend
+            | Raw::RunUpCurrent => current,
+            // slopes and bends over places within a fraction of an amplitude
+            Raw::KineticTilt | Raw::KineticBend => 10.0 * current,
             Raw::Supply => MARGIN * a.supply_voltage_v,
             Raw::P3 => travel,
             Raw::Rise | Raw::SlowLag => sequence.duration_s(),

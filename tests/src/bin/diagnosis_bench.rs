@@ -5,8 +5,7 @@
 //! unit` (or another spread) follows units with a history.
 
 use anyhow::{Context, Result};
-use diagnoser::diagnosis::Diagnoser;
-use ema_tests::coverage::defects::{self, Defect};
+use ema_tests::coverage::defects::{self, DESIGN, JUDGED, Known};
 use ema_tests::coverage::other_hand;
 use ema_tests::coverage::units;
 use ema_tests::coverage::{
@@ -17,7 +16,6 @@ use pipeline::calibrate::{Campaign, Effort, draw_units};
 use schemas::feature::Feature;
 use std::fmt::Write;
 
-const DEFECTS: usize = 200;
 const EFFORT: Effort = Effort {
     runs: 4096,
     surface_runs: 4096,
@@ -37,6 +35,8 @@ struct Options {
     sequences: Option<String>,
     /// spread of units with a history
     units: Option<String>,
+    /// which half of the defects is hidden
+    defects: Option<String>,
     record: Option<String>,
 }
 
@@ -51,6 +51,7 @@ impl Options {
             angles: None,
             sequences: None,
             units: None,
+            defects: None,
             record: None,
         };
         while let Some(arg) = args.next() {
@@ -63,11 +64,12 @@ impl Options {
                 "--angles" => options.angles = Some(value()?),
                 "--sequences" => options.sequences = Some(value()?),
                 "--units" => options.units = Some(value()?),
+                "--defects" => options.defects = Some(value()?),
                 "--record" => options.record = Some(value()?),
                 "--coverage" => options.coverage_only = true,
                 _ => anyhow::bail!(
                     "{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --angles SPREAD, --sequences SPREAD, \
-                     --units SPREAD, --record FILE"
+                     --units SPREAD, --defects design|judged, --record FILE"
                 ),
             }
         }
@@ -79,6 +81,7 @@ fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
     let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
     let text = match (&options.angles, &options.sequences, &options.units) {
+        _ if options.defects.is_some() => with_defects(&cache, &options),
         (Some(spread), ..) => at_twelve_angles(&cache, spread, &options),
         (None, Some(spread), _) => of_both_sequences(&cache, spread, &options),
         (None, None, Some(spread)) => units::bench(&cache, &options.grid, spread, options.tests, options.seed),
@@ -159,7 +162,6 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
             tables += &record::maps_row(title, &judge(&part, &units, &measured));
         }
         tables.push('\n');
-        tables += &defect_table(&diagnoser, &setup, name)?;
     }
     if options.coverage_only {
         return Ok(out);
@@ -174,20 +176,59 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
     Ok(out)
 }
 
-fn defect_table(diagnoser: &Diagnoser, setup: &sim_worker::setup::TestSetup, name: &str) -> Result<String> {
-    let spread = sim_worker::catalogue::spread(name)?;
+/// Half of the defects in units without a history and with one, by the other simulator.
+fn with_defects(cache: &std::path::Path, options: &Options) -> Result<String> {
+    let defects = match options.defects.as_deref() {
+        Some("design") => &DESIGN[..],
+        Some("judged") => &JUDGED[..],
+        other => anyhow::bail!("--defects {}: design or judged", other.unwrap_or("")),
+    };
     let mut out = format!(
-        "## Other defects, spread {name}\n\nSilent miss: located, and the true pair outside.\n\n| hidden | tests | unexplained | out of \
-         range | truth inside | silent misses % | width FSJ | maps named most |\n|---|---|---|---|---|---|---|---|\n"
+        "## Defects that the maps know nothing of\n\n{} tests of each severity, units and effects simulated by another hand. refused: \
+         unexplained or out of range; inside: the true pair in both intervals; off: located with FSJ or zeta off by more than its interval \
+         is wide; far: by more than twice.\n\n",
+        options.tests
     );
-    let mut all = Vec::new();
-    for defect in Defect::ALL {
-        let cases = defects::tests(diagnoser, setup, &spread, defect, DEFECTS, 1)?;
-        out += &record::defect_row(defect.title(), &cases);
-        all.extend(cases);
+    let draw = (options.tests, options.seed);
+    for (sequence, spread) in [("preflight", "none"), ("preflight", "fleet"), ("preflight2", "field")] {
+        if options.coverage_only && spread != "fleet" {
+            continue;
+        }
+        let spread = sim_worker::catalogue::spread(spread)?;
+        let (set, setup) = maps_of(&cache.join(sequence), sequence, &options.grid, 0.0)?;
+        let campaign = Campaign::run(&setup, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
+        let diagnoser = calibrated(&set, &campaign)?;
+        let table = defects::table(
+            defects,
+            &setup,
+            &spread,
+            &units::command_of(sequence),
+            &Known::Nothing(&diagnoser),
+            draw,
+        )?;
+        let _ = writeln!(out, "### {sequence}, spread {}, no history\n\n{table}", spread.name);
     }
-    out += &record::defect_row("all", &all);
-    out.push('\n');
+    for sequence in ["preflight", "preflight2"] {
+        if options.coverage_only && sequence == "preflight2" {
+            continue;
+        }
+        let spread = sim_worker::catalogue::spread("unit")?;
+        let (set, setup, prior, calibration) = units::ready(cache, sequence, &options.grid, &spread)?;
+        let kind = units::Kind {
+            set: &set,
+            calibration: &calibration,
+            prior: &prior,
+        };
+        let table = defects::table(
+            defects,
+            &setup,
+            &prior.spread(),
+            &units::command_of(sequence),
+            &Known::Accepted(&kind),
+            draw,
+        )?;
+        let _ = writeln!(out, "### {sequence}, spread unit, after one acceptance test\n\n{table}");
+    }
     Ok(out)
 }
 

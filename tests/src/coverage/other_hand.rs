@@ -1,7 +1,7 @@
 //! Units that differ, simulated by another hand ([`crate::independent`]): what is measured there says whether intervals hold
 //! where nobody who made them wrote the simulator.
 
-use crate::independent::{self, Command, record};
+use crate::independent::{self, Command, Telemetry, record};
 use diagnoser::uncertainty::deviations;
 use pipeline::calibrate::Unit;
 use rayon::prelude::*;
@@ -14,7 +14,7 @@ use sim_worker::spread::{Cause, Spread};
 use std::sync::Arc;
 
 /// The other simulator's unit for a draw of ours.
-fn of(spread: &Spread, unit: &Unit) -> independent::Unit {
+pub fn of(spread: &Spread, unit: &Unit) -> independent::Unit {
     let x = deviations(spread, &unit.draw);
     let mut u = independent::Unit::default();
     for (value, cause) in [
@@ -35,11 +35,28 @@ fn of(spread: &Spread, unit: &Unit) -> independent::Unit {
 ///
 /// * `command` the test of `setup`, as the other simulator has it
 pub fn measure(setup: &TestSetup, spread: &Spread, units: &[Unit], command: &Command) -> Vec<RawFeatures> {
+    let as_drawn = |u: &Unit| (of(spread, u), ());
+    measure_odd(setup, units, command, as_drawn, |(), _| {})
+}
+
+/// The same of units that something is wrong with.
+///
+/// * `odd` the unit, and what its sensors need to know
+/// * `told` what becomes of a recording before it is written
+pub fn measure_odd<T>(
+    setup: &TestSetup,
+    units: &[Unit],
+    command: &Command,
+    odd: impl Fn(&Unit) -> (independent::Unit, T) + Sync,
+    told: impl Fn(T, &mut Telemetry) + Sync,
+) -> Vec<RawFeatures> {
     let plan = Arc::new(setup.feature_plan());
     let seconds = setup.sequence.duration_s();
     let one = |u: &Unit| {
         let faults = (u.fault.fsj, u.fault.zeta);
-        let t = record(&of(spread, u), command, seconds, setup.rate_hz, faults, true, u.seed);
+        let (unit, sensing) = odd(u);
+        let mut t = record(&unit, command, seconds, setup.rate_hz, faults, true, u.seed);
+        told(sensing, &mut t);
         // as files have them
         let file = |v: &[f64]| v.iter().map(|x| *x as f32 as f64).collect::<Vec<f64>>();
         let columns = [

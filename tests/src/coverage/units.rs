@@ -62,6 +62,37 @@ fn row(title: &str, all: &[Case]) -> String {
     )
 }
 
+/// Maps of a sequence, and units of a spread calibrated on them.
+pub fn ready(
+    cache: &Path,
+    sequence: &str,
+    grid: &str,
+    spread: &Spread,
+) -> Result<(FailureMapSet, TestSetup, Constants, UnitCalibration)> {
+    let (set, setup) = maps_of(&cache.join(sequence), sequence, grid, 0.0)?;
+    let unit = UnitFile::new(
+        "bench".into(),
+        "-".into(),
+        ActuatorParameters::reference(),
+        spread.clone(),
+    );
+    let prior = unit.prior();
+    let setup = TestSetup {
+        actuator: Arc::new(unit.actuator.clone()),
+        ..setup
+    };
+    let calibration = pipeline::unit::calibrate(&set, &setup, &prior, UnitEffort::QUICK)?.context("interrupted")?;
+    Ok((set, setup, prior, calibration))
+}
+
+/// The other simulator's command for a sequence.
+pub fn command_of(sequence: &str) -> Command {
+    match sequence {
+        "preflight" => Command::Preflight,
+        _ => Command::Preflight2,
+    }
+}
+
 /// Both pre-flight tests: units after an acceptance test and some later ones, then over a life.
 ///
 /// * `n` units of each history
@@ -80,23 +111,8 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
     );
     let mut times = String::from("\n### A diagnosis of a unit from features, one thread\n\n");
     for sequence in ["preflight", "preflight2"] {
-        let (set, setup) = maps_of(&cache.join(sequence), sequence, grid, 0.0)?;
-        let unit = UnitFile::new(
-            "bench".into(),
-            "-".into(),
-            ActuatorParameters::reference(),
-            spread.clone(),
-        );
-        let prior = unit.prior();
-        let setup = TestSetup {
-            actuator: Arc::new(unit.actuator.clone()),
-            ..setup
-        };
-        let calibration = pipeline::unit::calibrate(&set, &setup, &prior, UnitEffort::QUICK)?.context("interrupted")?;
-        let command = match sequence {
-            "preflight" => Command::Preflight,
-            _ => Command::Preflight2,
-        };
+        let (set, setup, prior, calibration) = ready(cache, sequence, grid, &spread)?;
+        let command = command_of(sequence);
         let kind = Kind {
             set: &set,
             calibration: &calibration,
@@ -153,10 +169,13 @@ pub fn bench(cache: &Path, grid: &str, spread: &str, n: usize, seed: u64) -> Res
 }
 
 /// A kind of test, and what is known of units before theirs.
-struct Kind<'a> {
-    set: &'a FailureMapSet,
-    calibration: &'a UnitCalibration,
-    prior: &'a Constants,
+pub struct Kind<'a> {
+    /// maps
+    pub set: &'a FailureMapSet,
+    /// simulated units
+    pub calibration: &'a UnitCalibration,
+    /// constants before any test
+    pub prior: &'a Constants,
 }
 
 impl Kind<'_> {
@@ -207,8 +226,24 @@ impl Kind<'_> {
         Ok(record::time_us(&diagnoser, &tests[1..], &raw[1..]))
     }
 
+    /// An acceptance test and one at random faults of each of some units.
+    pub(super) fn draw_accepted(&self, n: usize, seed: u64) -> (Vec<Unit>, Vec<Unit>) {
+        let spread = self.prior.spread();
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let anywhere = |rng: &mut ChaCha8Rng| FaultState {
+            fsj: rng.random_range(FSJ.0..FSJ.1),
+            zeta: rng.random_range(ZETA.0..ZETA.1),
+        };
+        let one = |_| {
+            let own = drawn(&spread, &mut rng);
+            let healthy = draw_test(self.prior, own, &mut rng, |_| FaultState::NOMINAL);
+            (healthy, draw_test(self.prior, own, &mut rng, anywhere))
+        };
+        (0..n).map(one).unzip()
+    }
+
     /// What each test of a unit says before it goes in; the first is the acceptance test.
-    fn followed(&self, spread: &Spread, tests: &[Unit], raw: &[RawFeatures]) -> Result<Vec<Case>> {
+    pub(super) fn followed(&self, spread: &Spread, tests: &[Unit], raw: &[RawFeatures]) -> Result<Vec<Case>> {
         let features: Vec<Features> = raw.iter().map(|r| self.set.features(r)).collect();
         let learnt = self.calibration.healthy(self.prior, &features[..1]);
         let healthy = usize::from(learnt.is_ok());

@@ -32,12 +32,21 @@ impl Unit {
         unit.r *= off(0.04);
         if let Some(name) = effect {
             let mut rng = stream(seed, 2);
-            let parameters = parameters(name, strength, &unit, &mut rng);
+            let effect = Effect::drawn(name, strength, &unit, &mut rng)?;
             unit.thermometer = name == "winding_heating" && rng.random::<bool>();
-            unit.effects
-                .push(Effect::new(name, &parameters).ok_or_else(|| format!("no effect {name}"))?);
+            unit.effects.push(effect);
         }
         Ok(unit)
+    }
+}
+
+impl Effect {
+    /// An effect of a strength, its other parameters by `rng`.
+    ///
+    /// # Errors
+    /// The name, if there is no such effect.
+    pub fn drawn(name: &str, strength: f64, unit: &Unit, rng: &mut ChaCha8Rng) -> Result<Effect, String> {
+        Effect::new(name, &parameters(name, strength, unit, rng)).ok_or_else(|| format!("no effect {name}"))
     }
 }
 
