@@ -47,7 +47,11 @@ pub struct Calibration {
     /// name and half-widths of the spread from unit to unit
     pub spread: String,
     /// half-width of each cause's uniform distribution, in the units of [`Spread::half_width`]
+    #[serde(deserialize_with = "crate::uncertainty::padded")]
     pub half_width: [f64; Cause::COUNT],
+    /// as [`Spread::friction_per_k`]
+    #[serde(default)]
+    pub friction_per_k: f64,
     /// runs that the scores come from
     pub runs: usize,
     /// further runs that the response surfaces come from
@@ -83,6 +87,7 @@ impl Calibration {
         Spread {
             name: self.spread.clone(),
             half_width: self.half_width,
+            friction_per_k: self.friction_per_k,
         }
     }
 

@@ -7,7 +7,7 @@ use crate::failure_map::{FailureMap, FailureMapSet};
 use crate::paving::{Joint, Lattice, Limits};
 use crate::uncertainty::{Factors, Guess, MOST, PreparedSurfaces, ResponseSurfaces, Row, Straight, log_kinetic};
 use schemas::feature::{Feature, Features};
-use sim_worker::spread::{Cause, Known, of_uniform};
+use sim_worker::spread::{Cause, Known};
 
 /// Most lattice lines between two lines of the grid: what is bilinear between them departs from the monotone
 /// cubic by a sixteenth of what it would on the grid itself.
@@ -109,15 +109,7 @@ pub struct Estimator {
 impl Estimator {
     /// Makes a lattice of the joint maps, four times as fine as their grid, and the covariances on it.
     pub fn new(set: &FailureMapSet, calibration: Option<&Calibration>, known: &Known) -> Self {
-        let factors = calibration.map(|c| {
-            let unknown: Vec<_> = c
-                .spread()
-                .causes()
-                .filter(|(c, _)| !known.iter().any(|(k, _)| k == c))
-                .map(|(c, h)| (c, of_uniform(h)))
-                .collect();
-            Factors::independent(&unknown, known)
-        });
+        let factors = calibration.map(|c| Factors::of(&c.spread(), known));
         Self::of(set, set.joint().collect(), calibration, factors.as_ref())
     }
 

@@ -7,12 +7,14 @@
 
 mod factors;
 
+pub(crate) use factors::FRICTION;
 pub use factors::{Deviations, Discrepancy, Factors, deviations, log_kinetic};
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use schemas::feature::Feature;
-use serde::{Deserialize, Serialize};
-use sim_worker::spread::Cause;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+use sim_worker::spread::{Cause, Spread};
 use std::collections::BTreeMap;
 
 /// Most features that are inverted together.
@@ -41,6 +43,30 @@ const ACTING: usize = Cause::COUNT - 1;
 
 /// Pairs of them, each with itself included.
 const PAIRS: usize = ACTING * (ACTING + 1) / 2;
+
+/// One number for each cause, from a file that may be of a version with fewer causes.
+pub(crate) fn padded<'de, D: Deserializer<'de>>(d: D) -> Result<Deviations, D::Error> {
+    let found = Vec::<f64>::deserialize(d)?;
+    each_cause(&found).ok_or_else(|| D::Error::invalid_length(found.len(), &"one number for each cause"))
+}
+
+/// The same of slopes.
+fn padded_slopes<'de, D: Deserializer<'de>>(d: D) -> Result<BTreeMap<String, [Slope; Cause::COUNT]>, D::Error> {
+    let found = BTreeMap::<String, Vec<Slope>>::deserialize(d)?;
+    let one = |(name, slopes): (String, Vec<Slope>)| {
+        let n = slopes.len();
+        let all = each_cause(&slopes).ok_or_else(|| D::Error::invalid_length(n, &"one slope for each cause"))?;
+        Ok((name, all))
+    };
+    found.into_iter().map(one).collect()
+}
+
+/// What there is of the first causes, and nothing of those that came later.
+fn each_cause<T: Copy + Default>(found: &[T]) -> Option<[T; Cause::COUNT]> {
+    let mut all = [T::default(); Cause::COUNT];
+    all.get_mut(..found.len())?.copy_from_slice(found);
+    Some(all)
+}
 
 /// Terms at scaled faults.
 fn terms(u: f64, v: f64) -> Slope {
@@ -87,6 +113,7 @@ impl Scale {
 pub struct ResponseSurfaces {
     scale: Scale,
     /// by feature name: slope for each cause, in the feature's unit for a deviation of 1 (relative, rad)
+    #[serde(deserialize_with = "padded_slopes")]
     slopes: BTreeMap<String, [Slope; Cause::COUNT]>,
     /// pairs of causes (numbers of [`Cause`]) whose product counts
     pairs: Vec<(usize, usize)>,
@@ -305,7 +332,7 @@ impl ResponseSurfaces {
     /// Whether there is a slope for this cause, or for what it acts through.
     pub fn knows(&self, cause: Cause) -> bool {
         let acts = |c: Cause| self.slopes.values().any(|s| s[c as usize].iter().any(|x| *x != 0.0));
-        cause.acts_through().into_iter().all(|(c, _)| acts(c))
+        cause.acts_through(0.0).into_iter().all(|(c, x)| x == 0.0 || acts(c))
     }
 
     /// Slopes of the features for a cause at a fault pair, in their units for a deviation of 1.
@@ -327,7 +354,7 @@ impl ResponseSurfaces {
     /// * `unknown` causes and their standard deviations
     /// * `known` causes and their deviations
     pub fn prepared(&self, features: &[Feature], unknown: &[(Cause, f64)], known: &[(Cause, f64)]) -> PreparedSurfaces {
-        self.prepared_factors(features, &Factors::independent(unknown, known))
+        self.prepared_factors(features, &Factors::independent(&Spread::none(), unknown, known))
     }
 
     /// Prepared for quick evaluation, where what is not known of the causes goes together.
@@ -371,7 +398,7 @@ impl ResponseSurfaces {
 
 /// Sum over what a cause acts through.
 fn through(cause: Cause, of: impl Fn(Cause) -> f64) -> f64 {
-    cause.acts_through().into_iter().map(|(c, x)| x * of(c)).sum()
+    cause.acts_through(0.0).into_iter().map(|(c, x)| x * of(c)).sum()
 }
 
 /// Where the unknown causes are thought to lie, in their standard deviations.

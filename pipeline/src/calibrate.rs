@@ -4,9 +4,9 @@
 use crate::COMMIT;
 use anyhow::Result;
 use diagnoser::calibration::{COVERAGE, Calibration, REFUSED_SCORE, uncalibrated};
-use diagnoser::diagnosis::{Diagnoser, Score};
+use diagnoser::diagnosis::{Diagnoser, Known, Score};
 use diagnoser::failure_map::{FailureMapSet, MapSetHeader};
-use diagnoser::uncertainty::{ResponseSurfaces, Sample, Scale, deviations, log_kinetic};
+use diagnoser::uncertainty::{Factors, ResponseSurfaces, Sample, Scale, deviations, log_kinetic};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -22,6 +22,7 @@ use sim_worker::setup::TestSetup;
 use sim_worker::simulate::{LANES, Run, simulate};
 use sim_worker::spread::{Cause, Spread};
 use sim_worker::test_bench::Lane;
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -221,6 +222,7 @@ impl Campaign {
         let mut calibration = Calibration {
             spread: self.spread.name.clone(),
             half_width: self.spread.half_width,
+            friction_per_k: self.spread.friction_per_k,
             runs: self.scores.0.len(),
             surface_runs: self.surface.0.len(),
             seed: self.effort.seed,
@@ -234,12 +236,15 @@ impl Campaign {
             surfaces: self.surfaces(set),
         };
         let diagnoser = Diagnoser::new(set.clone(), Some(calibration.clone()), COVERAGE, &Vec::new())?;
-        score_all(&mut calibration, &scores(&diagnoser, &self.scores.0, &self.scores.1));
-        let kinetic = |(u, raw): (&Unit, &RawFeatures)| {
-            diagnoser.kinetic_score(&set.features(raw), kinetic_factor(&self.spread, u))
+        let one = |(u, raw): (&Unit, &RawFeatures)| {
+            let (features, own) = (set.features(raw), knowing(&diagnoser, &self.spread, u));
+            let kinetic = own.kinetic_score(&features, kinetic_factor(&self.spread, u));
+            (own.score(&features, u.fault.fsj, u.fault.zeta), kinetic)
         };
-        let tests = self.scores.0.iter().zip(&self.scores.1);
-        calibration.kinetic = tests.filter_map(kinetic).collect();
+        let tests: Vec<_> = self.scores.0.par_iter().zip(&self.scores.1).map(one).collect();
+        let scores: Vec<Score> = tests.iter().filter_map(|t| t.0).collect();
+        score_all(&mut calibration, &scores);
+        calibration.kinetic = tests.iter().filter_map(|t| t.1).collect();
         calibration.kinetic.sort_by(f64::total_cmp);
         Ok(calibration)
     }
@@ -304,6 +309,27 @@ pub(crate) fn surfaces(
     let (fsj, zeta) = range(set);
     let samples: Vec<Sample> = units.iter().zip(measured).filter_map(sample).collect();
     (!samples.is_empty()).then(|| ResponseSurfaces::fit(Scale { fsj, zeta }, &samples))
+}
+
+/// What tests of a spread say of themselves: their temperature, where units are tested at several.
+pub fn known_of(spread: &Spread, unit: &Unit) -> Known {
+    let cause = Cause::TestTemperature;
+    let half = spread.half_width[cause as usize];
+    if half > 0.0 {
+        vec![(cause, half * unit.draw[cause as usize])]
+    } else {
+        Vec::new()
+    }
+}
+
+/// A diagnoser that knows what a test says of itself; the very one where tests say nothing.
+pub fn knowing<'a>(diagnoser: &'a Diagnoser, spread: &Spread, unit: &Unit) -> Cow<'a, Diagnoser> {
+    let known = known_of(spread, unit);
+    if known.is_empty() {
+        Cow::Borrowed(diagnoser)
+    } else {
+        Cow::Owned(diagnoser.again_with(&Factors::of(spread, &known)))
+    }
 }
 
 /// Scores of simulated tests; those that no diagnosis can be made of have none.

@@ -157,6 +157,27 @@ pub fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Opti
     Ok(reference.filter(|r| !m.sensors.is_empty() || input::is_quantised(m, r)))
 }
 
+/// Temperatures of an actuator at a test [deg C] (assumed).
+const TEMPERATURES_DEGC: (f64, f64) = (-100.0, 300.0);
+
+/// Mean temperature of a recording; none where it has none.
+///
+/// # Errors
+/// Refuses one that no actuator has.
+fn temperature_degc(path: &Path, m: &Measured) -> Result<Option<f64>> {
+    let Some(column) = m.telemetry.column(Channel::Temperature).filter(|c| !c.is_empty()) else {
+        return Ok(None);
+    };
+    let mean = column.iter().sum::<f64>() / column.len() as f64;
+    let (lo, hi) = TEMPERATURES_DEGC;
+    if !(lo..=hi).contains(&mean) {
+        let place = format!("column `{}`", Channel::Temperature.name());
+        let allowed = format!("a mean of {lo} to {hi} degC; --known temperature_degc=VALUE says it where the sensor does not");
+        return Err(Error::bad(path.display().to_string(), place, mean, allowed).into());
+    }
+    Ok(Some(mean))
+}
+
 /// Maps for a recording: from the cache, or those of `--maps`.
 fn chosen_maps(path: &Path, m: &Measured, s: &Settings, setup: &TestSetup) -> Result<Diagnoser> {
     // the resolver knows the angle: where it is a cause of spread it is a known one
@@ -168,6 +189,12 @@ fn chosen_maps(path: &Path, m: &Measured, s: &Settings, setup: &TestSetup) -> Re
                 cause,
                 cause.deviation(&setup.actuator, maps_rest_rad, setup.rest_angle_rad),
             ));
+        }
+        let cause = Cause::TestTemperature;
+        let spread = s.unit.as_ref().map_or(&s.choice.spread, |u| &u.spread);
+        if spread.half_width[cause as usize] > 0.0 && !known.iter().any(|(c, _)| *c == cause) {
+            let recorded = temperature_degc(path, m)?;
+            known.extend(recorded.map(|t| (cause, cause.deviation(&setup.actuator, maps_rest_rad, t))));
         }
         Ok(known)
     };

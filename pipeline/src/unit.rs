@@ -183,6 +183,7 @@ pub fn calibrate(
     let mut common = Calibration {
         spread: spread.name.clone(),
         half_width: spread.half_width,
+        friction_per_k: spread.friction_per_k,
         runs: effort.units * effort.tests,
         surface_runs: effort.surface,
         seed: effort.seed,

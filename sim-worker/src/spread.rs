@@ -42,11 +42,15 @@ pub enum Cause {
     HealthyFriction,
     /// share of effects that are levels of friction which grows with the friction fault
     EffectGrowth,
+    /// temperature of the whole actuator in the test: winding and magnets, and friction by [`Spread::friction_per_k`]
+    TestTemperature,
+    /// that slope of friction
+    FrictionSlope,
 }
 
 impl Cause {
     /// Number of causes.
-    pub const COUNT: usize = 14;
+    pub const COUNT: usize = 16;
     /// Those that stand in every fingerprint and are drawn first; later ones follow where they have a half-width.
     pub const FIRST: usize = 7;
     /// All, in the order of [`Spread::half_width`].
@@ -65,6 +69,8 @@ impl Cause {
         Cause::BreakAway,
         Cause::HealthyFriction,
         Cause::EffectGrowth,
+        Cause::TestTemperature,
+        Cause::FrictionSlope,
     ];
 
     /// Key of its half-width in a spread's file.
@@ -84,6 +90,8 @@ impl Cause {
             Cause::BreakAway => "break_away_relative",
             Cause::HealthyFriction => "healthy_friction_relative",
             Cause::EffectGrowth => "effect_growth",
+            Cause::TestTemperature => "test_temperature_k",
+            Cause::FrictionSlope => "friction_slope_relative",
         }
     }
 
@@ -104,6 +112,8 @@ impl Cause {
             Cause::BreakAway => "static_n_m",
             Cause::HealthyFriction => "healthy_friction_n_m",
             Cause::EffectGrowth => "effect_growth",
+            Cause::TestTemperature => "temperature_degc",
+            Cause::FrictionSlope => "friction_slope_relative",
         }
     }
 
@@ -124,6 +134,8 @@ impl Cause {
             Cause::BreakAway => "static friction",
             Cause::HealthyFriction => "healthy friction",
             Cause::EffectGrowth => "growth of effects of friction with FSJ",
+            Cause::TestTemperature => "temperature of the actuator",
+            Cause::FrictionSlope => "slope of friction over temperature",
         }
     }
 
@@ -139,10 +151,10 @@ impl Cause {
             Cause::Supply => relative(actuator.supply_voltage_v),
             Cause::Inductance => relative(actuator.phase_inductance_h),
             Cause::Viscous => relative(actuator.viscous_n_m_s_per_rad),
-            Cause::EffectAmplitude | Cause::EffectShape => known,
+            Cause::EffectAmplitude | Cause::EffectShape | Cause::FrictionSlope => known,
             Cause::EffectGrowth => known - actuator.effects.iter().map(|e| e.grows).fold(0.0, f64::max),
             Cause::BreakAway | Cause::HealthyFriction => relative(actuator.static_friction_n_m),
-            Cause::Temperature => known - actuator.temperature_degc,
+            Cause::Temperature | Cause::TestTemperature => known - actuator.temperature_degc,
             Cause::RestAngle => {
                 let turn = std::f64::consts::TAU;
                 (known - rest_angle_rad + 0.5 * turn).rem_euclid(turn) - 0.5 * turn
@@ -154,7 +166,13 @@ impl Cause {
     pub fn is_relative(self) -> bool {
         !matches!(
             self,
-            Cause::Temperature | Cause::RestAngle | Cause::EffectAmplitude | Cause::EffectShape | Cause::EffectGrowth
+            Cause::Temperature
+                | Cause::RestAngle
+                | Cause::EffectAmplitude
+                | Cause::EffectShape
+                | Cause::EffectGrowth
+                | Cause::TestTemperature
+                | Cause::FrictionSlope
         )
     }
 
@@ -173,10 +191,20 @@ impl Cause {
         if self.is_relative() { counted.exp_m1() } else { counted }
     }
 
-    /// What it acts through: deviations of other causes for a deviation of one unit of this one.
-    pub fn acts_through(self) -> Vec<(Cause, f64)> {
+    /// What it acts through: deviations of other causes for a deviation of one unit of this one. The slope of friction acts
+    /// at other temperatures only ([`Spread::friction_at`]).
+    ///
+    /// * `friction_per_k` as [`Spread::friction_per_k`]
+    pub fn acts_through(self, friction_per_k: f64) -> Vec<(Cause, f64)> {
         match self {
             Cause::Temperature => vec![(Cause::Resistance, COPPER_PER_K), (Cause::BackEmf, MAGNET_PER_K)],
+            Cause::TestTemperature => vec![
+                (Cause::Resistance, COPPER_PER_K),
+                (Cause::BackEmf, MAGNET_PER_K),
+                (Cause::HealthyFriction, friction_per_k),
+                (Cause::Viscous, friction_per_k),
+            ],
+            Cause::FrictionSlope => Vec::new(),
             cause => vec![(cause, 1.0)],
         }
     }
@@ -224,7 +252,13 @@ pub struct Spread {
     pub name: String,
     /// by [`Cause`]: relative, K or rad
     pub half_width: [f64; Cause::COUNT],
+    /// by how much dry and viscous friction change with the actuator's temperature, relative to that at the actuator's own
+    /// [1/K]
+    pub friction_per_k: f64,
 }
+
+/// Friction at a temperature over that at the actuator's own, at least (assumed): lubricants do not vanish.
+const LEAST_FRICTION: f64 = 0.05;
 
 /// Half-width of the static friction of an actuator that was studied in motion, relative (assumed): nobody has seen it
 /// break away. Where friction rises towards standstill beside the step of dry friction, it is between the greater of the
@@ -244,7 +278,16 @@ impl Spread {
         Self {
             name: "none".into(),
             half_width: [0.0; Cause::COUNT],
+            friction_per_k: 0.0,
         }
+    }
+
+    /// Dry and viscous friction at a temperature over that at the actuator's own.
+    ///
+    /// * `kelvin` warmer than that
+    /// * `slope` by how much the slope deviates, relative
+    pub fn friction_at(&self, kelvin: f64, slope: f64) -> f64 {
+        (1.0 + self.friction_per_k * (1.0 + slope) * kelvin).max(LEAST_FRICTION)
     }
 
     /// How far an actuator may be from what a study says of it: uniform distributions of the standard deviations that
@@ -287,6 +330,7 @@ impl Spread {
         for (cause, h) in Cause::ALL.into_iter().zip(&mut half_width) {
             *h = match cause {
                 Cause::Temperature => s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?,
+                Cause::TestTemperature => s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?,
                 Cause::RestAngle => s.number_or(cause.key(), 0.0, |x| (0.0..=0.1).contains(&x), "0 to 0.1 rad")?,
                 Cause::EffectAmplitude | Cause::EffectShape => s.number_or(
                     cause.key(),
@@ -297,8 +341,14 @@ impl Spread {
                 _ => s.number_or(cause.key(), 0.0, |x| (0.0..=0.5).contains(&x), "0 to 0.5")?,
             };
         }
+        let slopes = "-0.02 to 0.02 1/K";
+        let friction_per_k = s.number_or("friction_per_k", 0.0, |x| (-0.02..=0.02).contains(&x), slopes)?;
         s.finish()?;
-        Ok(Self { name, half_width })
+        Ok(Self {
+            name,
+            half_width,
+            friction_per_k,
+        })
     }
 
     /// Whether nothing differs.
@@ -322,6 +372,9 @@ impl Spread {
         for (cause, h) in Cause::ALL[Cause::FIRST..].iter().zip(later).filter(|(_, h)| **h > 0.0) {
             text += &format!(";{},{}", cause.key(), exact(*h));
         }
+        if self.friction_per_k != 0.0 {
+            text += &format!(";friction_per_k,{}", exact(self.friction_per_k));
+        }
         fingerprint(&text)
     }
 
@@ -336,13 +389,18 @@ impl Spread {
     ) -> (ActuatorParameters, f64) {
         let mut a = actuator.clone();
         // the drive divides by its own constant, whatever the unit's flux is
-        let moves_flux = |(c, _): (Cause, f64)| c.acts_through().iter().any(|(c, _)| *c == Cause::BackEmf);
+        let moves_flux = |(c, _): (Cause, f64)| c.acts_through(0.0).iter().any(|(c, _)| *c == Cause::BackEmf);
         if self.causes().any(moves_flux) {
             a.drive_constant_n_m_per_a = actuator.drive_constant();
         }
         let mut rest = rest_angle_rad;
+        let of = |c: Cause| draw[c as usize] * self.half_width[c as usize];
+        let friction = self.friction_at(of(Cause::TestTemperature), of(Cause::FrictionSlope));
+        a.static_friction_n_m *= friction;
+        a.viscous_n_m_s_per_rad *= friction;
         for (cause, h) in self.causes() {
-            for (through, per_unit) in cause.acts_through() {
+            // friction by temperature stands above
+            for (through, per_unit) in cause.acts_through(0.0) {
                 let x = draw[cause as usize] * h * per_unit;
                 match through {
                     Cause::Resistance => a.phase_resistance_ohm *= 1.0 + x,
@@ -367,7 +425,9 @@ impl Spread {
                         let amplitude = through == Cause::EffectAmplitude;
                         a.effects.iter_mut().for_each(|e| e.deviate(amplitude, x));
                     }
-                    Cause::Temperature => unreachable!("acts through others"),
+                    Cause::Temperature | Cause::TestTemperature | Cause::FrictionSlope => {
+                        unreachable!("acts through others")
+                    }
                 }
             }
         }
@@ -386,7 +446,9 @@ mod tests {
         let (unit, rest) = fleet.unit(
             &a,
             0.5,
-            &[1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0],
+            &[
+                1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0,
+            ],
         );
         let near = |x: f64, y: f64| assert!((x / y - 1.0).abs() < 1e-12, "{x} {y}");
         near(unit.phase_resistance_ohm, 1.05 * a.phase_resistance_ohm);
@@ -421,5 +483,26 @@ mod tests {
         let (unit, _) = warm.unit(&a, 0.0, &[1.0; Cause::COUNT]);
         assert!((unit.phase_resistance_ohm / a.phase_resistance_ohm - 1.1572).abs() < 1e-12);
         assert!((unit.back_emf_v_s_per_rad / a.back_emf_v_s_per_rad - 0.956).abs() < 1e-12);
+    }
+
+    #[test]
+    fn prop_a_cold_actuator_has_more_friction_of_both_kinds() {
+        let a = ActuatorParameters::reference();
+        let mut cold = Spread::none();
+        cold.half_width[Cause::TestTemperature as usize] = 60.0;
+        cold.half_width[Cause::FrictionSlope as usize] = 0.2;
+        cold.friction_per_k = -0.004;
+        let mut draw = [0.0; Cause::COUNT];
+        draw[Cause::TestTemperature as usize] = -1.0;
+        draw[Cause::FrictionSlope as usize] = 0.5;
+        let (unit, _) = cold.unit(&a, 0.0, &draw);
+        for (x, y) in [
+            (unit.static_friction_n_m, a.static_friction_n_m),
+            (unit.viscous_n_m_s_per_rad, a.viscous_n_m_s_per_rad),
+        ] {
+            assert!((x / y - (1.0 + 0.0044 * 60.0)).abs() < 1e-12, "{x} {y}");
+        }
+        assert!((unit.phase_resistance_ohm / a.phase_resistance_ohm - (1.0 - 60.0 * COPPER_PER_K)).abs() < 1e-12);
+        assert_ne!(cold.fingerprint(), Spread { friction_per_k: -0.005, ..cold.clone() }.fingerprint());
     }
 }

@@ -350,6 +350,7 @@ fn fleet(maps: &FailureMapSet) -> Calibration {
     Calibration {
         spread: "planted".into(),
         half_width,
+        friction_per_k: 0.0,
         runs: 4,
         surface_runs: 400,
         seed: 0,

@@ -2,7 +2,7 @@
 
 use super::baseline::Baseline;
 use crate::diagnosis::{Diagnoser, Known};
-use crate::uncertainty::{Deviations, Discrepancy, Factors};
+use crate::uncertainty::{Deviations, Discrepancy, FRICTION, Factors};
 use nalgebra::{DMatrix, DVector};
 use schemas::feature::{Feature, Features};
 use schemas::fingerprint::{exact, fingerprint};
@@ -15,6 +15,9 @@ const STUDIED: f64 = 2.0;
 
 /// Greatest half-width of a spread, relative.
 const WIDEST: f64 = 0.5;
+
+/// Step by which the response to the slope of friction over temperature is found, relative.
+const SLOPE_STEP: f64 = 1e-3;
 
 /// Gauss-Newton steps: responses are nearly straight.
 const STEPS: usize = 4;
@@ -30,6 +33,8 @@ pub struct Constants {
     pub covariance: Vec<f64>,
     /// what is another one in each test: half-widths
     pub of_test: Vec<(Cause, f64)>,
+    /// as [`Spread::friction_per_k`]
+    pub friction_per_k: f64,
     /// what healthy tests show that no constant explains
     pub discrepancy: Vec<Discrepancy>,
 }
@@ -48,7 +53,10 @@ pub struct Learnt {
 
 /// Whether it is another one in each test of a unit.
 fn is_of_test(cause: Cause) -> bool {
-    matches!(cause, Cause::Supply | Cause::Temperature | Cause::RestAngle)
+    matches!(
+        cause,
+        Cause::Supply | Cause::Temperature | Cause::RestAngle | Cause::TestTemperature
+    )
 }
 
 impl Constants {
@@ -119,6 +127,7 @@ impl Constants {
             mean: vec![0.0; n],
             covariance,
             of_test,
+            friction_per_k: spread.friction_per_k,
             discrepancy: Vec::new(),
         }
     }
@@ -150,6 +159,7 @@ impl Constants {
     pub fn spread(&self) -> Spread {
         let mut s = Spread::none();
         s.name = "unit".into();
+        s.friction_per_k = self.friction_per_k;
         for (i, c) in self.causes.iter().enumerate() {
             let sd = self.covariance[i * self.causes.len() + i].max(0.0).sqrt();
             s.half_width[*c as usize] = (3f64.sqrt() * sd).min(widest(*c));
@@ -165,28 +175,44 @@ impl Constants {
     /// * `known` of the test or the unit: taken as exact
     pub fn factors(&self, known: &Known) -> Factors {
         let is_known = |c: Cause| known.iter().any(|(k, _)| *k == c);
-        let mut factors = Factors::independent(&[], known);
+        let free = self.of_test.iter().filter(|(c, _)| !is_known(*c));
+        let free: Vec<(Cause, f64)> = free.map(|&(c, h)| (c, of_uniform(h))).collect();
+        let slope_of_test = Spread {
+            friction_per_k: self.friction_per_k,
+            ..Spread::none()
+        };
+        let of_test = Factors::independent(&slope_of_test, &free, known);
+        let mut factors = Factors {
+            each: Vec::new(),
+            ..of_test
+        };
         let n = self.causes.len();
         let root = self.root();
         for (c, x) in self.causes.iter().zip(&self.mean).filter(|(c, _)| !is_known(**c)) {
             factors.middle[*c as usize] += x;
+        }
+        // the unit's own slope of friction acts where the test's temperature is known to be another one
+        let of = |c: Cause| known.iter().filter(|k| k.0 == c).map(|k| k.1).sum::<f64>();
+        let kelvin = of(Cause::TestTemperature);
+        let at = |slope: f64| slope_of_test.friction_at(kelvin, slope).ln();
+        let own_slope = factors.middle[Cause::FrictionSlope as usize];
+        let by_slope = (at(own_slope + SLOPE_STEP) - at(own_slope - SLOPE_STEP)) / (2.0 * SLOPE_STEP);
+        for c in FRICTION {
+            factors.middle[c as usize] += at(own_slope) - at(of(Cause::FrictionSlope));
         }
         for k in 0..n {
             let mut row = Deviations::default();
             for (i, c) in self.causes.iter().enumerate().filter(|(_, c)| !is_known(**c)) {
                 row[*c as usize] = root[(i, k)];
             }
+            for c in FRICTION {
+                row[c as usize] += by_slope * row[Cause::FrictionSlope as usize];
+            }
             if row.iter().any(|x| *x != 0.0) {
                 factors.each.push((self.causes[k], row));
             }
         }
-        let free: Vec<(Cause, f64)> = self
-            .of_test
-            .iter()
-            .filter(|(c, _)| !is_known(*c))
-            .map(|&(c, h)| (c, of_uniform(h)))
-            .collect();
-        factors.each.extend(Factors::independent(&free, &[]).each);
+        factors.each.extend(of_test.each);
         factors.discrepancy.clone_from(&self.discrepancy);
         factors
     }
@@ -235,10 +261,10 @@ impl Constants {
             for (j, features) in tests.iter().enumerate() {
                 let mut deviations = Deviations::default();
                 for (c, x) in self.causes.iter().zip(x.iter()) {
-                    add(&mut deviations, *c, *x);
+                    add(&mut deviations, self.friction_per_k, *c, *x);
                 }
                 for (k, (c, h)) in self.of_test.iter().enumerate() {
-                    add(&mut deviations, *c, x[n + j * m + k] * of_uniform(*h));
+                    add(&mut deviations, self.friction_per_k, *c, x[n + j * m + k] * of_uniform(*h));
                 }
                 for (k, e) in expected(&deviations).iter().enumerate() {
                     let Some(y) = features.get(e.feature).filter(|y| y.is_finite()) else {
@@ -246,7 +272,7 @@ impl Constants {
                     };
                     let mut slope = DVector::<f64>::zeros(all);
                     let along = |c: Cause| {
-                        c.acts_through()
+                        c.acts_through(self.friction_per_k)
                             .into_iter()
                             .map(|(c, u)| u * e.slopes[c as usize])
                             .sum::<f64>()
@@ -291,6 +317,7 @@ impl Constants {
                 mean: x.iter().take(n).copied().collect(),
                 covariance: symmetric(&covariance),
                 of_test: self.of_test.clone(),
+                friction_per_k: self.friction_per_k,
                 discrepancy: self.discrepancy.clone(),
             },
             misfit: cost / f64::from(rows.max(1)),
@@ -302,7 +329,7 @@ impl Constants {
     pub fn beyond(&self, baseline: &Baseline, tests: &[Features], sigmas: f64) -> Vec<(Feature, f64)> {
         let mut middle = Deviations::default();
         for (c, x) in self.causes.iter().zip(&self.mean) {
-            add(&mut middle, *c, *x);
+            add(&mut middle, self.friction_per_k, *c, *x);
         }
         let covariance = self.matrix();
         let one = |e: &super::Expected| {
@@ -313,7 +340,7 @@ impl Constants {
                 .collect();
             let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
             let along = |c: Cause| {
-                c.acts_through()
+                c.acts_through(self.friction_per_k)
                     .into_iter()
                     .map(|(c, u)| u * e.slopes[c as usize])
                     .sum::<f64>()
@@ -359,6 +386,7 @@ impl Constants {
             mean: self.mean.iter().zip(moved.iter()).map(|(m, x)| m + x).collect(),
             covariance: symmetric(&covariance),
             of_test: self.of_test.clone(),
+            friction_per_k: self.friction_per_k,
             discrepancy: self.discrepancy.clone(),
         })
     }
@@ -386,8 +414,8 @@ fn widest(c: Cause) -> f64 {
     }
 }
 
-fn add(to: &mut Deviations, cause: Cause, x: f64) {
-    for (through, per_unit) in cause.acts_through() {
+fn add(to: &mut Deviations, friction_per_k: f64, cause: Cause, x: f64) {
+    for (through, per_unit) in cause.acts_through(friction_per_k) {
         to[through as usize] += per_unit * x;
     }
 }

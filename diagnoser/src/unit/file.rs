@@ -143,6 +143,8 @@ struct Stored {
     actuator: String,
     spread: Vec<(String, f64)>,
     spread_name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    friction_per_k: Option<f64>,
     kinds: Vec<KindEntry>,
     tests: Vec<TestEntry>,
     posterior: Posterior,
@@ -232,6 +234,7 @@ impl UnitFile {
             actuator: self.actuator.to_toml(),
             spread: pairs(&spread),
             spread_name: self.spread.name.clone(),
+            friction_per_k: Some(self.spread.friction_per_k).filter(|x| *x != 0.0),
             kinds: self.kinds.clone(),
             tests: self.tests.clone(),
             posterior: Posterior {
@@ -284,6 +287,7 @@ impl UnitFile {
         };
         let mut spread = Spread::none();
         spread.name = s.spread_name;
+        spread.friction_per_k = s.friction_per_k.unwrap_or(0.0);
         for (c, h) in pairs(&s.spread)? {
             spread.half_width[c as usize] = h;
         }
@@ -297,6 +301,7 @@ impl UnitFile {
             mean,
             covariance: s.posterior.covariance,
             of_test: pairs(&s.posterior.of_test)?,
+            friction_per_k: spread.friction_per_k,
             discrepancy: s
                 .posterior
                 .discrepancy

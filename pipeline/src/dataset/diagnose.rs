@@ -89,6 +89,7 @@ fn calibration(scores: &[Score]) -> Calibration {
     let mut c = Calibration {
         spread: Spread::none().name,
         half_width: [0.0; Cause::COUNT],
+        friction_per_k: 0.0,
         runs: scores.len(),
         surface_runs: 0,
         seed: 0,

@@ -7,7 +7,7 @@
 use anyhow::{Context, Result};
 use ema_tests::coverage::defects::{self, DESIGN, JUDGED, Known};
 use ema_tests::coverage::other_hand;
-use ema_tests::coverage::units;
+use ema_tests::coverage::{temperature, units};
 use ema_tests::coverage::{
     FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick,
 };
@@ -35,6 +35,8 @@ struct Options {
     sequences: Option<String>,
     /// spread of units with a history
     units: Option<String>,
+    /// spread of tests at any temperature
+    temperature: Option<String>,
     /// which half of the defects is hidden
     defects: Option<String>,
     record: Option<String>,
@@ -51,6 +53,7 @@ impl Options {
             angles: None,
             sequences: None,
             units: None,
+            temperature: None,
             defects: None,
             record: None,
         };
@@ -64,12 +67,13 @@ impl Options {
                 "--angles" => options.angles = Some(value()?),
                 "--sequences" => options.sequences = Some(value()?),
                 "--units" => options.units = Some(value()?),
+                "--temperature" => options.temperature = Some(value()?),
                 "--defects" => options.defects = Some(value()?),
                 "--record" => options.record = Some(value()?),
                 "--coverage" => options.coverage_only = true,
                 _ => anyhow::bail!(
                     "{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --angles SPREAD, --sequences SPREAD, \
-                     --units SPREAD, --defects design|judged, --record FILE"
+                     --units SPREAD, --temperature SPREAD, --defects design|judged, --record FILE"
                 ),
             }
         }
@@ -82,6 +86,7 @@ fn main() -> Result<()> {
     let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
     let text = match (&options.angles, &options.sequences, &options.units) {
         _ if options.defects.is_some() => with_defects(&cache, &options),
+        _ if let Some(spread) = &options.temperature => temperature::bench(&cache, &options.grid, spread, EFFORT, (options.tests, options.seed)),
         (Some(spread), ..) => at_twelve_angles(&cache, spread, &options),
         (None, Some(spread), _) => of_both_sequences(&cache, spread, &options),
         (None, None, Some(spread)) => units::bench(&cache, &options.grid, spread, options.tests, options.seed),

@@ -4,6 +4,7 @@
 pub mod defects;
 pub mod other_hand;
 pub mod record;
+pub mod temperature;
 pub mod units;
 pub mod yardstick;
 

@@ -278,6 +278,7 @@ fn calibrations(maps: &Path, dir: &Path) -> Vec<PathBuf> {
     let calibration = Calibration {
         spread: "none".into(),
         half_width: Spread::none().half_width,
+        friction_per_k: 0.0,
         runs: 3,
         surface_runs: 0,
         seed: 1,
