@@ -123,6 +123,7 @@ impl LiveArgs {
             actuators,
             sequences,
             sensors,
+            units: Default::default(),
         };
         Ok((known, models))
     }

@@ -17,10 +17,11 @@ use schemas::channel::{Channel, ChannelSet};
 use schemas::feature::{Features, RawFeatures};
 use schemas::sequence::TestSequence;
 use schemas::stream::frame::{FrameHeader, RunDescription};
+use schemas::stream::wire::to_number;
 use schemas::test_kind::TestKind;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use track::{Arrival, Track};
 
@@ -50,6 +51,9 @@ pub struct Known {
     pub sequences: Vec<TestSequence>,
     /// fingerprints of sensor models, `none` included
     pub sensors: Vec<String>,
+    /// models of units that are known, by the names of their actuators: these are interpreted by them, whatever their frames
+    /// name
+    pub units: BTreeMap<String, Arc<ActuatorParameters>>,
 }
 
 impl Known {
@@ -315,7 +319,8 @@ impl Live {
     fn prepare(&mut self, track: &mut Track) -> Result<(), String> {
         let run = track.run();
         let list = |v: Vec<String>| v.join(", ");
-        let Some(actuator) = self.known.actuator(&run.parameters) else {
+        let unit = self.known.units.get(&run.actuator);
+        let Some(actuator) = unit.or(self.known.actuator(&run.parameters)) else {
             let known = self.known.actuators.iter();
             let known = known.map(|a| format!("{} ({})", a.fingerprint(), a.name)).collect();
             let found = &run.parameters;
@@ -337,8 +342,9 @@ impl Live {
             ));
         }
         let equivalent = FeaturePlan::lacks_phases(|c| run.channels.contains(c));
+        let unit = unit.map(|u| u.fingerprint());
         let id = (
-            track.header().parameters,
+            unit.as_ref().map_or(track.header().parameters, |u| to_number(u)),
             track.header().sequence,
             run.rate_hz.to_bits(),
             equivalent,
@@ -362,7 +368,7 @@ impl Live {
         }
         let more = plan.wanted().iter().filter(|c| run.channels.contains(*c));
         let taken = more.fold(needed, ChannelSet::with);
-        track.interpret(plan, taken);
+        track.interpret(plan, taken, unit);
         Ok(())
     }
 

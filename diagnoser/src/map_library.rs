@@ -19,18 +19,33 @@ pub fn rounded_rest_angle(angle_rad: f64) -> f64 {
     count * (TAU / COUNTS)
 }
 
-/// What maps must be made for to serve a test: its kind, the rest angle on a resolver count, whatever the load.
+/// What maps must be made for to serve a test: its kind, the rest angle on a resolver count, whatever the load; and the
+/// unit, where one is known.
 #[derive(Clone, Debug)]
-pub struct MapKey(TestKind);
+pub struct MapKey(TestKind, Option<String>);
 
 impl MapKey {
     /// The key of a test's maps.
     pub fn new(test: TestKind) -> Self {
-        Self(TestKind {
+        let kind = TestKind {
             rest_angle_rad: rounded_rest_angle(test.rest_angle_rad),
             load_n_m: None,
             ..test
-        })
+        };
+        Self(kind, None)
+    }
+
+    /// The key of a test of a unit that is known.
+    ///
+    /// * `test` of the unit's own model
+    /// * `unit` its name
+    pub fn of_unit(test: TestKind, unit: &str) -> Self {
+        Self(Self::new(test).0, Some(unit.into()))
+    }
+
+    /// The unit that was tested, where one is known.
+    pub fn unit(&self) -> Option<&str> {
+        self.1.as_deref()
     }
 
     /// The tests that maps are wanted for; no load is named.
@@ -51,7 +66,7 @@ impl MapKey {
 
 impl PartialEq for MapKey {
     fn eq(&self, other: &Self) -> bool {
-        self.0.bits() == other.0.bits()
+        self.0.bits() == other.0.bits() && self.1 == other.1
     }
 }
 
@@ -60,6 +75,7 @@ impl Eq for MapKey {}
 impl Hash for MapKey {
     fn hash<H: Hasher>(&self, state: &mut H) {
         self.0.bits().hash(state);
+        self.1.hash(state);
     }
 }
 

@@ -279,6 +279,7 @@ fn role_live(diagnoses: u64, busy: bool, core: Option<usize>) {
         actuators: vec![Arc::new(ActuatorParameters::reference())],
         sequences: vec![sim_worker::catalogue::sequence("preflight").unwrap()],
         sensors: vec![sensors.fingerprint()],
+        units: Default::default(),
     };
     let library = MapLibrary::cache(&sim_worker::cache::cache_dir().join("maps"));
     let options = Options {

@@ -172,7 +172,8 @@ fn temperature_degc(path: &Path, m: &Measured) -> Result<Option<f64>> {
     let (lo, hi) = TEMPERATURES_DEGC;
     if !(lo..=hi).contains(&mean) {
         let place = format!("column `{}`", Channel::Temperature.name());
-        let allowed = format!("a mean of {lo} to {hi} degC; --known temperature_degc=VALUE says it where the sensor does not");
+        let allowed =
+            format!("a mean of {lo} to {hi} degC; --known temperature_degc=VALUE says it where the sensor does not");
         return Err(Error::bad(path.display().to_string(), place, mean, allowed).into());
     }
     Ok(Some(mean))
@@ -412,6 +413,10 @@ pub fn to_json(case: &Case, unit: Option<&UnitFile>, refined: Option<&Refined>, 
             "name": unit.name, "tests": unit.taken(), "healthy_tests": unit.healthy(), "reference": unit.reference(),
         });
     }
+    let alike = alike(case, unit);
+    if !alike.is_empty() {
+        json["reads_as_fsj"] = alike.iter().map(|a| a.0).collect::<Vec<_>>().into();
+    }
     if !case.measured.said.is_empty() {
         json["read"] = case.measured.said.clone().into();
     }
@@ -419,6 +424,48 @@ pub fn to_json(case: &Case, unit: Option<&UnitFile>, refined: Option<&Refined>, 
         json["next_command"] = next.into();
     }
     json
+}
+
+/// What would read as the friction fault in a located test, in proportion, and no interval allows for: key and words.
+///
+/// * `unit` that was tested, where one is known
+pub fn alike(case: &Case, unit: Option<&UnitFile>) -> Vec<(&'static str, &'static str)> {
+    if !matches!(case.diagnosis.outcome, Outcome::Located(_)) {
+        return Vec::new();
+    }
+    let spread = case
+        .diagnoser
+        .calibration
+        .as_ref()
+        .map_or_else(Spread::none, |c| c.spread());
+    let allows = |c: Cause| spread.half_width[c as usize] > 0.0;
+    // a healthy test shows what friction the unit has and what its sensors make of the run-up
+    let healthy = unit.is_some_and(|u| u.reference() == "unit");
+    let mut alike = Vec::new();
+    if !healthy && !allows(Cause::HealthyFriction) {
+        alike.push(("healthy_friction", "a healthy friction other than the model's"));
+    }
+    if !allows(Cause::TestTemperature) {
+        alike.push(("friction_temperature", "friction that the temperature has changed"));
+    }
+    if !healthy {
+        alike.push(("current_gain", "a gain of all current sensors"));
+    }
+    alike
+}
+
+/// The same in one sentence; none where there is nothing.
+pub fn alike_text(case: &Case, unit: Option<&UnitFile>) -> Option<String> {
+    let words: Vec<&str> = alike(case, unit).into_iter().map(|a| a.1).collect();
+    let (last, first) = words.split_last()?;
+    let (list, verb) = if first.is_empty() {
+        (last.to_string(), "it would")
+    } else {
+        (format!("{} or {last}", first.join(", ")), "each would")
+    };
+    Some(format!(
+        "no test tells {list} from friction: {verb} read as FSJ in proportion, and these intervals do not allow for it"
+    ))
 }
 
 /// The tests that the intervals are calibrated on, in words; none where they are not.
@@ -455,7 +502,9 @@ pub(crate) fn three(estimate: f64, i: Interval) -> [String; 3] {
 }
 
 /// The diagnosis for a person, each number to as many digits as its uncertainty leaves; JSON has them all.
-pub fn to_text(case: &Case) -> String {
+///
+/// * `unit` that was tested, where one is known
+pub fn to_text(case: &Case, unit: Option<&UnitFile>) -> String {
     let d = &case.diagnosis;
     let mut out = String::new();
     let mut line = |s: String| {
@@ -486,6 +535,9 @@ pub fn to_text(case: &Case) -> String {
                 }
             }
             line(coverage(case));
+            if let Some(alike) = alike_text(case, unit) {
+                line(format!("alike     {alike}"));
+            }
             line(format!(
                 "area      {:.3e} .. {:.3e} (FSJ x zeta, enclosed from within and without)",
                 a.inner, a.outer

@@ -23,6 +23,7 @@ use schemas::feature::{Feature, Features};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::setup::TestSetup;
 use sim_worker::spread::{Cause, Spread};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -74,6 +75,57 @@ pub fn ready(request: &MapRequest, unit: &UnitFile) -> Result<(FailureMapSet, Un
     let made = calibrate(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
     made.save(&file)?;
     Ok((set, made))
+}
+
+/// The same from the cache; `None` where either is not there.
+///
+/// # Errors
+/// Refuses a grid that makes no maps, and what [`UnitCalibration::diagnoser`] refuses.
+pub fn found(request: &MapRequest, unit: &UnitFile, coverage: f64) -> Result<Option<Diagnoser>> {
+    let dir = maps::cached_in(request)?;
+    let Ok(set) = FailureMapSet::load(&maps::cache_file(request)?) else {
+        return Ok(None);
+    };
+    let own = unit.prior().fingerprint();
+    let file = dir.join(format!("unit-{own}.json"));
+    match UnitCalibration::load(&file, &set.fingerprint(), &own) {
+        Ok(c) => Ok(Some(c.diagnoser(
+            set,
+            &unit.constants,
+            unit.healthy(),
+            coverage,
+            &Vec::new(),
+        )?)),
+        Err(_) => Ok(None),
+    }
+}
+
+/// Unit files of a folder by the names of their actuators, or one file.
+///
+/// # Errors
+/// Refuses a folder without any, a file in it that ends in `.json` and is none, and two of one actuator.
+pub fn folder(path: &Path) -> Result<BTreeMap<String, Arc<UnitFile>>> {
+    let mut files = vec![path.to_path_buf()];
+    if path.is_dir() {
+        let list = std::fs::read_dir(path).map_err(|e| Error::io(path, "cannot be read", e))?;
+        files = list.filter_map(|e| Some(e.ok()?.path())).collect();
+        files.retain(|f| f.extension().is_some_and(|e| e == "json"));
+        files.sort();
+    }
+    let mut units: BTreeMap<String, (PathBuf, Arc<UnitFile>)> = BTreeMap::new();
+    for file in files {
+        let unit = UnitFile::load(&file)?;
+        if let Some((other, _)) = units.get(&unit.name) {
+            let allowed = format!("one file an actuator: {} is of it too", other.display());
+            return Err(Error::bad(file.display().to_string(), "name", unit.name, allowed).into());
+        }
+        units.insert(unit.name.clone(), (file, Arc::new(unit)));
+    }
+    if units.is_empty() {
+        let allowed = "unit files (ema unit new), called .json";
+        return Err(Error::bad(path.display().to_string(), "folder", "none", allowed).into());
+    }
+    Ok(units.into_iter().map(|(name, (_, unit))| (name, unit)).collect())
 }
 
 /// A unit of the prior, as shares of the half-widths of its spread.
@@ -257,6 +309,15 @@ pub fn calibrate(
 pub fn diagnoser(setup: &TestSetup, settings: &Settings, unit: &UnitFile, known: &Known) -> Result<Diagnoser> {
     let (set, calibration) = ready(&request(setup, settings), unit)?;
     Ok(calibration.diagnoser(set, &unit.constants, unit.healthy(), settings.choice.coverage, known)?)
+}
+
+/// The same from a request, of a test of which nothing more is known.
+///
+/// # Errors
+/// As [`ready`].
+pub fn made(request: &MapRequest, unit: &UnitFile, coverage: f64) -> Result<Diagnoser> {
+    let (set, calibration) = ready(request, unit)?;
+    Ok(calibration.diagnoser(set, &unit.constants, unit.healthy(), coverage, &Vec::new())?)
 }
 
 fn request(setup: &TestSetup, settings: &Settings) -> MapRequest {

@@ -330,7 +330,9 @@ impl Spread {
         for (cause, h) in Cause::ALL.into_iter().zip(&mut half_width) {
             *h = match cause {
                 Cause::Temperature => s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?,
-                Cause::TestTemperature => s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?,
+                Cause::TestTemperature => {
+                    s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?
+                }
                 Cause::RestAngle => s.number_or(cause.key(), 0.0, |x| (0.0..=0.1).contains(&x), "0 to 0.1 rad")?,
                 Cause::EffectAmplitude | Cause::EffectShape => s.number_or(
                     cause.key(),
@@ -503,6 +505,13 @@ mod tests {
             assert!((x / y - (1.0 + 0.0044 * 60.0)).abs() < 1e-12, "{x} {y}");
         }
         assert!((unit.phase_resistance_ohm / a.phase_resistance_ohm - (1.0 - 60.0 * COPPER_PER_K)).abs() < 1e-12);
-        assert_ne!(cold.fingerprint(), Spread { friction_per_k: -0.005, ..cold.clone() }.fingerprint());
+        assert_ne!(
+            cold.fingerprint(),
+            Spread {
+                friction_per_k: -0.005,
+                ..cold.clone()
+            }
+            .fingerprint()
+        );
     }
 }

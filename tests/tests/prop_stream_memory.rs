@@ -139,6 +139,7 @@ fn prop_no_copy_and_no_allocation_per_frame() {
         actuators: vec![actuator],
         sequences: vec![sequence],
         sensors: vec!["none".into()],
+        units: Default::default(),
     });
     let mut pass = publisher.begin(&about, Duration::ZERO, &|| true).unwrap().unwrap();
     let view = telemetry.view();
@@ -266,6 +267,7 @@ fn prop_an_hour_of_streams_allocates_nothing_for_a_frame() {
         actuators: vec![actuator.clone()],
         sequences: vec![sequence.clone()],
         sensors: vec!["none".into()],
+        units: Default::default(),
     });
     let (mut now, mut located, mut finals) = (0, 0, 0);
     let (mut frames, mut allocating) = (0u64, 0u64);

@@ -5,7 +5,8 @@ use diagnoser::curves::common;
 use diagnoser::diagnosis::{Diagnoser, Outcome};
 use ema_tests::coverage::defects::{self, Defect};
 use ema_tests::coverage::{Case, FSJ, ZETA, calibrated, fresh, judge, quadrant, quantile, reference_maps};
-use pipeline::calibrate::{Campaign, Effort};
+use ema_tests::independent::Command;
+use pipeline::calibrate::{Campaign, Effort, draw_units};
 use schemas::feature::{Feature, Features};
 use sim_worker::setup::TestSetup;
 use sim_worker::spread::{Cause, Spread};
@@ -89,23 +90,38 @@ fn val_one_known_unit_is_located_closely() {
 }
 
 #[test]
-fn val_other_defects_do_not_pass_for_these_faults() {
+fn val_defects_of_another_hand_do_not_pass_for_these_faults() {
+    let defects = [
+        "backlash",
+        "turn_short",
+        "current_offset",
+        "cogging",
+        "spring_load",
+        "periodic_friction",
+    ];
     for (name, diagnoser) in [("none", &READY.none), ("fleet", &READY.fleet)] {
         let spread = sim_worker::catalogue::spread(name).unwrap();
-        let (mut silent, mut all) = (0, 0);
-        for defect in Defect::ALL {
-            let cases = defects::tests(diagnoser, &READY.setup, &spread, defect, 48, 3).unwrap();
-            let missed = cases.iter().filter(|c| c.outcome == "located" && !c.inside).count();
-            println!("{name}, {}: {missed} silent misses of {}", defect.title(), cases.len());
-            silent += missed;
-            all += cases.len();
+        let mut all = Vec::new();
+        for (k, defect) in defects.into_iter().enumerate() {
+            let seed = 0xDEFE + k as u64;
+            let units = draw_units(FSJ, ZETA, &spread, 12, seed);
+            let hidden = (Defect::Effect(defect), 1.0 / 3.0);
+            let h = defects::hide(&READY.setup, &spread, &Command::Preflight, hidden, units, seed);
+            let cases = judge(diagnoser, &h.units, &h.measured);
+            let refused = cases.iter().filter(|c| c.outcome == "unexplained").count();
+            println!("{name}, {defect}: {refused} of {} unexplained", cases.len());
             let spoken = cases
                 .iter()
                 .filter(|c| c.outcome == "unexplained")
                 .all(|c| !c.contradicting.is_empty());
             assert!(spoken, "an unexplained test names the maps that disagree");
+            all.extend(cases);
         }
-        assert!((silent as f64) <= 0.05 * all as f64, "{name}: {silent} of {all}");
+        // a defect moved the faults by more than their intervals are wide in none of these, without a word; of more tests in
+        // 0.3 % (record)
+        let count = defects::Count::of(&all);
+        assert!(count.off() <= 1, "{name}: {count:?}");
+        assert!(2 * count.unexplained() > all.len(), "{name}: {count:?}");
     }
 }
 

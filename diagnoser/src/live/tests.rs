@@ -16,6 +16,7 @@ impl Source {
                 actuators: vec![Arc::new(ActuatorParameters::reference())],
                 sequences: vec![sim_worker::catalogue::sequence("preflight").unwrap()],
                 sensors: vec!["none".into()],
+                units: Default::default(),
             }),
             rows: 100,
         }

@@ -8,6 +8,7 @@ use schemas::feature::Features;
 use schemas::sequence::TestSequence;
 use schemas::stream::frame::{BEGIN, END, FrameHeader, RunDescription};
 use schemas::telemetry::TelemetryView;
+use schemas::test_kind::TestKind;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use std::sync::Arc;
 
@@ -54,6 +55,8 @@ pub(super) struct Track {
     sequence: Option<TestSequence>,
     channels: ChannelSet,
     extractor: Option<FeatureExtractor>,
+    /// the unit that is tested, where it is known: fingerprint of its model
+    unit: Option<String>,
     maps: Option<MapKey>,
     stage: Stage,
     /// the publisher will send no more
@@ -85,6 +88,7 @@ impl Track {
             sequence,
             channels: ChannelSet::default(),
             extractor: None,
+            unit: None,
             maps: None,
             stage: Stage::Open,
             has_ended: false,
@@ -107,8 +111,11 @@ impl Track {
     }
 
     /// The stream can be interpreted: these channels give these features.
-    pub fn interpret(&mut self, plan: Arc<FeaturePlan>, channels: ChannelSet) {
+    ///
+    /// * `unit` fingerprint of the model of the unit that is tested, where it is known
+    pub fn interpret(&mut self, plan: Arc<FeaturePlan>, channels: ChannelSet, unit: Option<String>) {
         self.channels = channels;
+        self.unit = unit;
         if self.run.total_rows == 0 {
             self.run.total_rows = plan.rows;
         }
@@ -253,7 +260,15 @@ impl Track {
     pub fn wish(&mut self) -> Option<MapKey> {
         let x = self.extractor.as_ref().filter(|_| self.maps.is_none())?;
         let rest = x.rest_angle_rad()?;
-        self.maps = Some(MapKey::new(self.run.kind(rest, x.plan().equivalent_current())));
+        let kind = self.run.kind(rest, x.plan().equivalent_current());
+        self.maps = Some(match &self.unit {
+            // a unit is not the model, whatever its sender took it for
+            Some(parameters) => {
+                let parameters = parameters.clone();
+                MapKey::of_unit(TestKind { parameters, ..kind }, &self.run.actuator)
+            }
+            None => MapKey::new(kind),
+        });
         self.maps.clone()
     }
 

@@ -94,7 +94,9 @@ impl MapThreads {
             let _ = self.find.send(key);
         }
         for key in live.to_make() {
-            let _ = self.make.as_ref().map(|make| make.send(key));
+            if let Some(make) = &self.make {
+                let _ = make.send(key);
+            }
         }
     }
 

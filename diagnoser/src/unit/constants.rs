@@ -264,7 +264,12 @@ impl Constants {
                     add(&mut deviations, self.friction_per_k, *c, *x);
                 }
                 for (k, (c, h)) in self.of_test.iter().enumerate() {
-                    add(&mut deviations, self.friction_per_k, *c, x[n + j * m + k] * of_uniform(*h));
+                    add(
+                        &mut deviations,
+                        self.friction_per_k,
+                        *c,
+                        x[n + j * m + k] * of_uniform(*h),
+                    );
                 }
                 for (k, e) in expected(&deviations).iter().enumerate() {
                     let Some(y) = features.get(e.feature).filter(|y| y.is_finite()) else {

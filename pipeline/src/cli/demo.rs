@@ -29,7 +29,7 @@ pub fn demo(a: &DemoArgs) -> Result<ExitCode> {
     let begin = Instant::now();
     let r = run(&a.out, &a.grid, a.seeds, a.file.as_deref())?;
     if let Some((_, c)) = &r.own {
-        say(&case::to_text(c));
+        say(&case::to_text(c, None));
     }
     report::write(&report_pages::demo::report(&r), &a.out, "report.html")?;
     say(&table_i(&r));

@@ -200,6 +200,9 @@ fn page(
     if let Some(unit) = unit {
         more.push(("The unit".to_string(), of_unit(unit).replacen("unit ", "", 1)));
     }
+    if let Some(alike) = case::alike_text(case, unit) {
+        more.push(("What reads as friction".to_string(), format!("{}.", alike)));
+    }
     if let Some(r) = refined {
         let text = refined_text(r, case).replacen("refined ", "", 1);
         more.push(("Fitted by the test bench itself".to_string(), paragraphs(text)));
@@ -261,7 +264,7 @@ pub fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
         }
         say_json(json);
     } else {
-        say(&case::to_text(&case));
+        say(&case::to_text(&case, settings.unit.as_deref()));
         for (i, said) in case.measured.said.iter().enumerate() {
             say(&format!(
                 "{:<9} {}",

@@ -86,7 +86,11 @@ pub fn discrepancy(a: &DiscrepancyArgs) -> Result<ExitCode> {
             say(&format!("written: {}", path.display()));
         }
         for (test, c) in &cases {
-            say(&format!("\ndiagnosis of {}\n{}", test.display(), case::to_text(c)));
+            say(&format!(
+                "\ndiagnosis of {}\n{}",
+                test.display(),
+                case::to_text(c, None)
+            ));
         }
     }
     let incomplete = |c: &Case| matches!(c.diagnosis.outcome, Outcome::Incomplete { .. });

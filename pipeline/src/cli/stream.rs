@@ -14,6 +14,7 @@ use diagnoser::cli::{DomainArg, LiveArgs};
 use diagnoser::live::Known;
 use diagnoser::map_library::{Choice, MapKey, MapLibrary};
 use diagnoser::receive::maps::{MapSource, no_maps};
+use diagnoser::unit::UnitFile;
 use rand::{RngExt, SeedableRng};
 use schemas::channel::ChannelSet;
 use schemas::error::{EXIT_INTERRUPTED, EXIT_LOSS, Error};
@@ -24,6 +25,7 @@ use sim_worker::sensor::SensorModel;
 use sim_worker::setup::TestSetup;
 use sim_worker::simulate::{Experiment, Run};
 use sim_worker::test_bench::Lane;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -43,6 +45,11 @@ pub struct LiveCommand {
     /// Make no maps: a test without saved ones is incomplete
     #[arg(long, help_heading = MAPS)]
     no_make: bool,
+    /// Unit files (ema unit): a folder, or one; a stream whose actuator has the name of a unit is diagnosed as that unit
+    ///
+    /// Name and model are those of the file, whatever the frames name; the file itself stays as it is (ema unit update).
+    #[arg(long, value_name = "PATH", conflicts_with = "maps", help_heading = MAPS)]
+    unit: Option<PathBuf>,
     /// What was diagnosed before, as ema prognosis takes it: the view then shows remaining lives
     ///
     /// An earlier log, a table, or a dataset. The view shows rate and remaining life of each actuator, and goes on from there
@@ -61,7 +68,15 @@ pub struct LiveCommand {
 }
 
 pub fn live(a: &LiveCommand) -> Result<ExitCode> {
-    let (known, models) = a.live.known()?;
+    let (mut known, models) = a.live.known()?;
+    let units = a
+        .unit
+        .as_deref()
+        .map(crate::unit::folder)
+        .transpose()?
+        .unwrap_or_default();
+    let model = |(name, unit): (&String, &Arc<UnitFile>)| (name.clone(), Arc::new(unit.actuator.clone()));
+    known.units = units.iter().map(model).collect();
     let grid = sim_worker::catalogue::grid(&a.grid)?;
     let choice = a.live.choice()?;
     let source = if a.live.maps.is_empty() {
@@ -72,6 +87,7 @@ pub fn live(a: &LiveCommand) -> Result<ExitCode> {
             models,
             grid,
             choice,
+            units,
         };
         maker.source(a.no_make)
     } else {
@@ -113,19 +129,26 @@ struct Maker {
     models: Vec<SensorModel>,
     grid: FaultGrid,
     choice: Choice,
+    units: BTreeMap<String, Arc<UnitFile>>,
 }
 
 impl Maker {
     fn source(self, no_make: bool) -> MapSource {
         let maker = self.clone();
         let find = move |key: &MapKey| {
-            let found = maker.request(key).and_then(|r| told(maps::found(&r, &maker.choice)));
+            let found = maker.request(key).and_then(|r| match maker.unit(key) {
+                Some(unit) => told(crate::unit::found(&r, unit, maker.choice.coverage)),
+                None => told(maps::found(&r, &maker.choice)),
+            });
             found.transpose()
         };
         let background = background();
         let make = move |key: &MapKey| {
             let request = self.request(key)?;
-            let make = || told(maps::cached(&request, &self.choice, &Vec::new()));
+            let make = || match self.unit(key) {
+                Some(unit) => told(crate::unit::made(&request, unit, self.choice.coverage)),
+                None => told(maps::cached(&request, &self.choice, &Vec::new())),
+            };
             match &background {
                 Some(pool) => pool.install(make),
                 None => make(),
@@ -142,10 +165,17 @@ impl Maker {
         }
     }
 
+    /// The unit that maps are for.
+    fn unit(&self, key: &MapKey) -> Option<&UnitFile> {
+        self.units.get(key.unit()?).map(Arc::as_ref)
+    }
+
     /// The maps of a test, as they are named in the cache.
     fn request(&self, key: &MapKey) -> Result<MapRequest, String> {
         let kind = key.kind();
-        let actuator = self.known.actuators.iter().find(|a| a.fingerprint() == kind.parameters);
+        let of_unit = key.unit().and_then(|name| self.known.units.get(name));
+        let by_name = || self.known.actuators.iter().find(|a| a.fingerprint() == kind.parameters);
+        let actuator = of_unit.or_else(by_name);
         let sequence = self.known.sequences.iter().find(|s| s.fingerprint() == kind.sequence);
         let (Some(actuator), Some(sequence)) = (actuator, sequence) else {
             return Err(no_maps(key, "actuator or sequence is unknown"));

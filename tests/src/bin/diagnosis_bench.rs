@@ -7,13 +7,13 @@
 use anyhow::{Context, Result};
 use ema_tests::coverage::defects::{self, DESIGN, JUDGED, Known};
 use ema_tests::coverage::other_hand;
-use ema_tests::coverage::{temperature, units};
 use ema_tests::coverage::{
     FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick,
 };
+use ema_tests::coverage::{circle, temperature, units};
 use ema_tests::independent;
 use pipeline::calibrate::{Campaign, Effort, draw_units};
-use schemas::feature::Feature;
+use schemas::feature::{Feature, Role};
 use std::fmt::Write;
 
 const EFFORT: Effort = Effort {
@@ -35,6 +35,8 @@ struct Options {
     sequences: Option<String>,
     /// spread of units with a history
     units: Option<String>,
+    /// the program, for the whole way of actuators of another hand
+    circle: Option<std::path::PathBuf>,
     /// spread of tests at any temperature
     temperature: Option<String>,
     /// which half of the defects is hidden
@@ -53,6 +55,7 @@ impl Options {
             angles: None,
             sequences: None,
             units: None,
+            circle: None,
             temperature: None,
             defects: None,
             record: None,
@@ -67,13 +70,14 @@ impl Options {
                 "--angles" => options.angles = Some(value()?),
                 "--sequences" => options.sequences = Some(value()?),
                 "--units" => options.units = Some(value()?),
+                "--circle" => options.circle = Some(value()?.into()),
                 "--temperature" => options.temperature = Some(value()?),
                 "--defects" => options.defects = Some(value()?),
                 "--record" => options.record = Some(value()?),
                 "--coverage" => options.coverage_only = true,
                 _ => anyhow::bail!(
                     "{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --angles SPREAD, --sequences SPREAD, \
-                     --units SPREAD, --temperature SPREAD, --defects design|judged, --record FILE"
+                     --units SPREAD, --temperature SPREAD, --defects design|judged, --circle PROGRAM, --record FILE"
                 ),
             }
         }
@@ -86,7 +90,10 @@ fn main() -> Result<()> {
     let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
     let text = match (&options.angles, &options.sequences, &options.units) {
         _ if options.defects.is_some() => with_defects(&cache, &options),
-        _ if let Some(spread) = &options.temperature => temperature::bench(&cache, &options.grid, spread, EFFORT, (options.tests, options.seed)),
+        _ if let Some(ema) = &options.circle => circle::bench(ema, &cache, options.tests, 20, options.seed),
+        _ if let Some(spread) = &options.temperature => {
+            temperature::bench(&cache, &options.grid, spread, EFFORT, (options.tests, options.seed))
+        }
         (Some(spread), ..) => at_twelve_angles(&cache, spread, &options),
         (None, Some(spread), _) => of_both_sequences(&cache, spread, &options),
         (None, None, Some(spread)) => units::bench(&cache, &options.grid, spread, options.tests, options.seed),
@@ -195,22 +202,22 @@ fn with_defects(cache: &std::path::Path, options: &Options) -> Result<String> {
         options.tests
     );
     let draw = (options.tests, options.seed);
-    for (sequence, spread) in [("preflight", "none"), ("preflight", "fleet"), ("preflight2", "field")] {
-        if options.coverage_only && spread != "fleet" {
+    for (sequence, spread) in [("preflight", "fleet"), ("preflight2", "field")] {
+        if options.coverage_only && sequence == "preflight2" {
             continue;
         }
         let spread = sim_worker::catalogue::spread(spread)?;
         let (set, setup) = maps_of(&cache.join(sequence), sequence, &options.grid, 0.0)?;
         let campaign = Campaign::run(&setup, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
-        let diagnoser = calibrated(&set, &campaign)?;
-        let table = defects::table(
-            defects,
-            &setup,
-            &spread,
-            &units::command_of(sequence),
-            &Known::Nothing(&diagnoser),
-            draw,
-        )?;
+        let now = calibrated(&set, &campaign)?;
+        let mut first = set;
+        first.witnesses.retain(|w| w.feature.role() == Role::Witness);
+        let before = calibrated(&first, &campaign)?;
+        let known = Known::Nothing {
+            now: &now,
+            before: &before,
+        };
+        let table = defects::table(defects, &setup, &spread, &units::command_of(sequence), &known, draw)?;
         let _ = writeln!(out, "### {sequence}, spread {}, no history\n\n{table}", spread.name);
     }
     for sequence in ["preflight", "preflight2"] {

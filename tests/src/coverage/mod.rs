@@ -1,6 +1,7 @@
 //! How well diagnoses hold what they promise: fresh simulated tests, none of which maps or calibration
 //! have seen.
 
+pub mod circle;
 pub mod defects;
 pub mod other_hand;
 pub mod record;

@@ -94,14 +94,24 @@ fn judged(diagnoser: &Diagnoser, spread: &Spread, recorded: bool, units: &[Unit]
 fn row(title: &str, units: &[Unit], all: &[Case], healthy: &[Case]) -> String {
     let inside = |of: &[&Case]| percent(of.iter().filter(|c| c.inside).count(), of.len());
     let draws: Vec<f64> = units.iter().map(|u| u.draw[Cause::TestTemperature as usize]).collect();
-    let (lo, hi) = (quantile(draws.iter().copied(), 1.0 / 3.0), quantile(draws.iter().copied(), 2.0 / 3.0));
+    let (lo, hi) = (
+        quantile(draws.iter().copied(), 1.0 / 3.0),
+        quantile(draws.iter().copied(), 2.0 / 3.0),
+    );
     let third = |k: usize| {
         let of = |x: f64| usize::from(x > lo) + usize::from(x > hi);
-        let of: Vec<&Case> = draws.iter().zip(all).filter(|(x, _)| of(**x) == k).map(|x| x.1).collect();
+        let of: Vec<&Case> = draws
+            .iter()
+            .zip(all)
+            .filter(|(x, _)| of(**x) == k)
+            .map(|x| x.1)
+            .collect();
         inside(&of)
     };
     let width = |f: fn(&Case, (f64, f64)) -> f64| quantile(record::located(all).map(|(c, w, _)| f(c, w)), 0.5);
-    let falsely = healthy.iter().filter(|c| c.found.is_some_and(|((w, _), (e, _))| lower(c, w, e) > FALSELY));
+    let falsely = healthy
+        .iter()
+        .filter(|c| c.found.is_some_and(|((w, _), (e, _))| lower(c, w, e) > FALSELY));
     format!(
         "| {title} | {} | {} | {:.2} | {:.4} | {}, {}, {} | {} |\n",
         inside(&all.iter().collect::<Vec<_>>()),

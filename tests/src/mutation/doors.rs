@@ -175,6 +175,7 @@ pub fn doors(ema: &Path, dir: &Path) -> Vec<Door> {
         actuators: vec![Arc::new(actuator.clone())],
         sequences: vec![sequence.clone()],
         sensors: vec![sensors.fingerprint()],
+        units: Default::default(),
     };
     let flying = Arc::new(case::run(&csv, &settings()).unwrap().diagnoser);
     let framed = file("frames", "run.frames");
