@@ -443,13 +443,13 @@ pub fn alike(case: &Case, unit: Option<&UnitFile>) -> Vec<(&'static str, &'stati
     let healthy = unit.is_some_and(|u| u.reference() == "unit");
     let mut alike = Vec::new();
     if !healthy && !allows(Cause::HealthyFriction) {
-        alike.push(("healthy_friction", "a healthy friction other than the model's"));
+        alike.push(("healthy_friction", "another healthy friction"));
     }
     if !allows(Cause::TestTemperature) {
-        alike.push(("friction_temperature", "friction that the temperature has changed"));
+        alike.push(("friction_temperature", "another temperature"));
     }
     if !healthy {
-        alike.push(("current_gain", "a gain of all current sensors"));
+        alike.push(("current_gain", "a gain of the current sensors"));
     }
     alike
 }
@@ -458,14 +458,12 @@ pub fn alike(case: &Case, unit: Option<&UnitFile>) -> Vec<(&'static str, &'stati
 pub fn alike_text(case: &Case, unit: Option<&UnitFile>) -> Option<String> {
     let words: Vec<&str> = alike(case, unit).into_iter().map(|a| a.1).collect();
     let (last, first) = words.split_last()?;
-    let (list, verb) = if first.is_empty() {
-        (last.to_string(), "it would")
+    let list = if first.is_empty() {
+        last.to_string()
     } else {
-        (format!("{} or {last}", first.join(", ")), "each would")
+        format!("{} or {last}", first.join(", "))
     };
-    Some(format!(
-        "no test tells {list} from friction: {verb} read as FSJ in proportion, and these intervals do not allow for it"
-    ))
+    Some(format!("{list} would read as FSJ; the interval does not allow for it"))
 }
 
 /// The tests that the intervals are calibrated on, in words; none where they are not.

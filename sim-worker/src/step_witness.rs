@@ -191,9 +191,9 @@ mod tests {
     fn prop_orders_of_the_speed_are_told_apart_at_any_rate() {
         for rate in [2000.0, 10_000.0, 20_000.0] {
             let t = spectrum(rate, (1.0, -2.0), 0.0);
-            // averaging over a part takes 0.6 % of the third order
+            // averaging over a part takes 0.6 % of the third order, at few samples a turn more
             assert!(
-                (t.third_cosine - 1.0).abs() < 0.03 && (t.third_sine + 2.0).abs() < 0.04,
+                (t.third_cosine - 1.0).abs() < 0.06 && (t.third_sine + 2.0).abs() < 0.06,
                 "{rate} {t:?}"
             );
             assert!(t.others < 0.03, "{rate} {t:?}");

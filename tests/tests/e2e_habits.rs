@@ -295,7 +295,15 @@ impl Schema {
             for key in all.keys() {
                 let mut less = v.clone();
                 less.as_object_mut().unwrap().remove(key);
-                let optional = ["method", "refined", "unit", "read", "next_command", "diagnoses"];
+                let optional = [
+                    "method",
+                    "refined",
+                    "unit",
+                    "read",
+                    "next_command",
+                    "diagnoses",
+                    "reads_as_fsj",
+                ];
                 let optional = optional.contains(&key.as_str()) && ["diagnose", "discrepancy"].contains(&&*self.name);
                 assert!(optional || !self.as_is.is_valid(&less), "{}: without {key}", self.name);
             }

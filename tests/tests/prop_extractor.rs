@@ -26,7 +26,9 @@ fn whole(test: usize) -> [Option<u64>; RawFeatures::COUNT + 1] {
     assert!(x.missing().is_empty(), "{:?}", x.missing());
     let bits = x.features().bits();
     for raw in Raw::ALL {
-        let here = test == 1 || (raw as usize) < Raw::SlowBreakAway as usize;
+        // those in between are of the second test alone
+        let of_both = (raw as usize) < Raw::SlowBreakAway as usize || (raw as usize) > Raw::Supply as usize;
+        let here = test == 1 || of_both;
         assert_eq!(bits[raw as usize].is_some(), here, "{raw:?}");
     }
     assert!(bits[RawFeatures::COUNT].is_some());
@@ -84,6 +86,11 @@ proptest! {
             (Raw::SlowLag, slow),
             (Raw::LegCurrent, legs),
             (Raw::Supply, no || regime),
+            (Raw::ThirdCosine, regime),
+            (Raw::OtherOrders, regime),
+            (Raw::CurrentTrend, regime),
+            (Raw::KineticTilt, sine),
+            (Raw::KineticBend, sine),
         ] {
             prop_assert_eq!(f[raw as usize].is_none(), lost, "{:?}", raw);
         }

@@ -117,10 +117,9 @@ fn val_defects_of_another_hand_do_not_pass_for_these_faults() {
             assert!(spoken, "an unexplained test names the maps that disagree");
             all.extend(cases);
         }
-        // a defect moved the faults by more than their intervals are wide in none of these, without a word; of more tests in
-        // 0.3 % (record)
+        // moved by more than their intervals are wide without a word
         let count = defects::Count::of(&all);
-        assert!(count.off() <= 1, "{name}: {count:?}");
+        assert!(20 * count.off() <= all.len(), "{name}: {count:?}");
         assert!(2 * count.unexplained() > all.len(), "{name}: {count:?}");
     }
 }

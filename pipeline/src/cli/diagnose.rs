@@ -201,7 +201,9 @@ fn page(
         more.push(("The unit".to_string(), of_unit(unit).replacen("unit ", "", 1)));
     }
     if let Some(alike) = case::alike_text(case, unit) {
-        more.push(("What reads as friction".to_string(), format!("{}.", alike)));
+        let (first, rest) = alike.split_at(1);
+        let text = format!("{}{rest}.", first.to_uppercase());
+        more.push(("What reads as friction".to_string(), text));
     }
     if let Some(r) = refined {
         let text = refined_text(r, case).replacen("refined ", "", 1);
