@@ -64,9 +64,8 @@ pub fn ready(request: &MapRequest, unit: &UnitFile) -> Result<(FailureMapSet, Un
     let dir = maps::cached_in(request)?;
     let set = maps::made(&dir, request)?;
     let prior = unit.prior();
-    let (own, of_maps) = (prior.fingerprint(), set.fingerprint());
-    let file = dir.join(format!("unit-{own}.json"));
-    if let Ok(c) = UnitCalibration::load(&file, &of_maps, &own) {
+    let (file, kept) = kept(&dir, &set, &prior);
+    if let Some(c) = kept {
         return Ok((set, c));
     }
     let effort = UnitEffort::QUICK;
@@ -75,6 +74,14 @@ pub fn ready(request: &MapRequest, unit: &UnitFile) -> Result<(FailureMapSet, Un
     let made = calibrate(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
     made.save(&file)?;
     Ok((set, made))
+}
+
+/// File beside maps for what simulated units of a prior say of them, and what it holds, if it can be used.
+fn kept(dir: &Path, set: &FailureMapSet, prior: &Constants) -> (PathBuf, Option<UnitCalibration>) {
+    let own = prior.fingerprint();
+    let file = dir.join(format!("unit-{own}.json"));
+    let kept = UnitCalibration::load(&file, &set.fingerprint(), &own).ok();
+    (file, kept)
 }
 
 /// The same from the cache; `None` where either is not there.
@@ -86,18 +93,8 @@ pub fn found(request: &MapRequest, unit: &UnitFile, coverage: f64) -> Result<Opt
     let Ok(set) = FailureMapSet::load(&maps::cache_file(request)?) else {
         return Ok(None);
     };
-    let own = unit.prior().fingerprint();
-    let file = dir.join(format!("unit-{own}.json"));
-    match UnitCalibration::load(&file, &set.fingerprint(), &own) {
-        Ok(c) => Ok(Some(c.diagnoser(
-            set,
-            &unit.constants,
-            unit.healthy(),
-            coverage,
-            &Vec::new(),
-        )?)),
-        Err(_) => Ok(None),
-    }
+    let ready = |c: UnitCalibration| c.diagnoser(set.clone(), &unit.constants, unit.healthy(), coverage, &Vec::new());
+    Ok(kept(&dir, &set, &unit.prior()).1.map(ready).transpose()?)
 }
 
 /// Unit files of a folder by the names of their actuators, or one file.
@@ -307,17 +304,16 @@ pub fn calibrate(
 /// # Errors
 /// As [`ready`].
 pub fn diagnoser(setup: &TestSetup, settings: &Settings, unit: &UnitFile, known: &Known) -> Result<Diagnoser> {
-    let (set, calibration) = ready(&request(setup, settings), unit)?;
-    Ok(calibration.diagnoser(set, &unit.constants, unit.healthy(), settings.choice.coverage, known)?)
+    made(&request(setup, settings), unit, settings.choice.coverage, known)
 }
 
-/// The same from a request, of a test of which nothing more is known.
+/// The same from a request.
 ///
 /// # Errors
 /// As [`ready`].
-pub fn made(request: &MapRequest, unit: &UnitFile, coverage: f64) -> Result<Diagnoser> {
+pub fn made(request: &MapRequest, unit: &UnitFile, coverage: f64, known: &Known) -> Result<Diagnoser> {
     let (set, calibration) = ready(request, unit)?;
-    Ok(calibration.diagnoser(set, &unit.constants, unit.healthy(), coverage, &Vec::new())?)
+    Ok(calibration.diagnoser(set, &unit.constants, unit.healthy(), coverage, known)?)
 }
 
 fn request(setup: &TestSetup, settings: &Settings) -> MapRequest {

@@ -596,7 +596,7 @@ impl FeatureExtractor {
         let regime_holds = phases && suspect.regime_sum.is_none() && suspect.late_s.is_none();
         let sine_holds = sine && suspect.sine_sum.is_none() && suspect.late_s.is_none();
         let even = self.witness.even_current_a().filter(|_| sine_holds);
-        let shape = self.witness.kinetic_shape_a().filter(|_| sine_holds);
+        let shape = sine_holds.then(|| self.witness.kinetic_shape_a()).flatten();
         let turning = (regime_holds && speed_holds)
             .then(|| self.step_witness.turning())
             .flatten();

@@ -329,8 +329,7 @@ impl Spread {
         let mut half_width = [0.0; Cause::COUNT];
         for (cause, h) in Cause::ALL.into_iter().zip(&mut half_width) {
             *h = match cause {
-                Cause::Temperature => s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?,
-                Cause::TestTemperature => {
+                Cause::Temperature | Cause::TestTemperature => {
                     s.number_or(cause.key(), 0.0, |x| (0.0..=150.0).contains(&x), "0 to 150 K")?
                 }
                 Cause::RestAngle => s.number_or(cause.key(), 0.0, |x| (0.0..=0.1).contains(&x), "0 to 0.1 rad")?,

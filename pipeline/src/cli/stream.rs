@@ -146,7 +146,7 @@ impl Maker {
         let make = move |key: &MapKey| {
             let request = self.request(key)?;
             let make = || match self.unit(key) {
-                Some(unit) => told(crate::unit::made(&request, unit, self.choice.coverage)),
+                Some(unit) => told(crate::unit::made(&request, unit, self.choice.coverage, &Vec::new())),
                 None => told(maps::cached(&request, &self.choice, &Vec::new())),
             };
             match &background {

@@ -2,7 +2,8 @@
 //! coverage, widths, errors, silent misses and time of diagnoses, on tests that maps and calibration have
 //! not seen. Takes some minutes; `--coverage` ends after the coverage. `--angles none` (or another spread) gives the coverage at twelve
 //! rest angles instead, calibrated as on first use and as `ema calibrate` does; `--sequences SPREAD` compares both pre-flight tests; `--units
-//! unit` (or another spread) follows units with a history.
+//! unit` (or another spread) follows units with a history; `--defects design` or `judged` hides half of the defects; `--temperature service` tests at
+//! any temperature; `--circle target/release/ema` takes actuators of another hand from study to diagnosis, as users do.
 
 use anyhow::{Context, Result};
 use ema_tests::coverage::defects::{self, DESIGN, JUDGED, Known};
@@ -11,7 +12,6 @@ use ema_tests::coverage::{
     FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick,
 };
 use ema_tests::coverage::{circle, temperature, units};
-use ema_tests::independent;
 use pipeline::calibrate::{Campaign, Effort, draw_units};
 use schemas::feature::{Feature, Role};
 use std::fmt::Write;
@@ -288,10 +288,7 @@ fn of_both_sequences(cache: &std::path::Path, spread: &str, options: &Options) -
         }
         let campaign = Campaign::run(&setup, &spread, EFFORT, FSJ, ZETA)?.context("interrupted")?;
         let (units, measured) = fresh(&setup, &spread, options.tests, options.seed)?;
-        let command = match sequence {
-            "preflight" => independent::Command::Preflight,
-            _ => independent::Command::Preflight2,
-        };
+        let command = units::command_of(sequence);
         let others = draw_units(
             FSJ,
             ZETA,

@@ -3,7 +3,7 @@
 use super::{Case, percent, quadrant, quantile};
 use diagnoser::diagnosis::Diagnoser;
 use pipeline::calibrate::Unit;
-use schemas::feature::{Feature, RawFeatures};
+use schemas::feature::RawFeatures;
 use sim_worker::spread::Spread;
 use std::fmt::Write;
 use std::time::Instant;
@@ -146,31 +146,6 @@ pub fn maps_row(title: &str, cases: &[Case]) -> String {
         q(|_, w| w.1),
         e(|c, e| 100.0 * (e.0 / c.fsj).abs()),
         e(|_, e| e.1.abs())
-    )
-}
-
-/// One row of the table of defects: what became of the tests.
-pub fn defect_row(title: &str, cases: &[Case]) -> String {
-    let n = cases.len();
-    let count = |f: &dyn Fn(&Case) -> bool| cases.iter().filter(|c| f(c)).count();
-    let silent = count(&|c| c.outcome == "located" && !c.inside);
-    let width = quantile(located(cases).map(|(c, w, _)| 100.0 * w.0 / c.fsj), 0.5);
-    let named = |f: Feature| (count(&|c| c.contradicting.contains(&f)), f.name());
-    let mut names: Vec<(usize, &str)> = Feature::every().map(named).filter(|(k, _)| *k > 0).collect();
-    names.sort_by(|a, b| b.cmp(a));
-    let width = if width.is_nan() {
-        "-".into()
-    } else {
-        format!("{width:.2} %")
-    };
-    let names: Vec<String> = names.iter().take(3).map(|(k, name)| format!("{name} {k}")).collect();
-    format!(
-        "| {title} | {n} | {} | {} | {} | {} | {width} | {} |\n",
-        count(&|c| c.outcome == "unexplained"),
-        count(&|c| c.outcome == "out_of_range"),
-        count(&|c| c.inside),
-        percent(silent, n),
-        names.join(", ")
     )
 }
 

@@ -45,6 +45,14 @@ fn drawn(spread: &Spread, rng: &mut ChaCha8Rng) -> [f64; Cause::COUNT] {
     })
 }
 
+/// Faults anywhere in their range.
+fn anywhere(rng: &mut ChaCha8Rng) -> FaultState {
+    FaultState {
+        fsj: rng.random_range(FSJ.0..FSJ.1),
+        zeta: rng.random_range(ZETA.0..ZETA.1),
+    }
+}
+
 fn row(title: &str, all: &[Case]) -> String {
     let inside = all.iter().filter(|c| c.inside).count();
     let refused = all.iter().filter(|c| c.outcome != "located").count();
@@ -211,10 +219,6 @@ impl Kind<'_> {
         measure: impl Fn(&[Unit]) -> Result<Vec<RawFeatures>>,
     ) -> Result<(f64, f64)> {
         let own = drawn(&self.prior.spread(), rng);
-        let anywhere = |rng: &mut ChaCha8Rng| FaultState {
-            fsj: rng.random_range(FSJ.0..FSJ.1),
-            zeta: rng.random_range(ZETA.0..ZETA.1),
-        };
         let mut tests = vec![draw_test(self.prior, own, rng, |_| FaultState::NOMINAL)];
         tests.extend((0..TIMED).map(|_| draw_test(self.prior, own, rng, anywhere)));
         let raw = measure(&tests)?;
@@ -230,10 +234,6 @@ impl Kind<'_> {
     pub(super) fn draw_accepted(&self, n: usize, seed: u64) -> (Vec<Unit>, Vec<Unit>) {
         let spread = self.prior.spread();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let anywhere = |rng: &mut ChaCha8Rng| FaultState {
-            fsj: rng.random_range(FSJ.0..FSJ.1),
-            zeta: rng.random_range(ZETA.0..ZETA.1),
-        };
         let one = |_| {
             let own = drawn(&spread, &mut rng);
             let healthy = draw_test(self.prior, own, &mut rng, |_| FaultState::NOMINAL);
