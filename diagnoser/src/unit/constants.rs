@@ -406,6 +406,9 @@ impl Constants {
         for (c, h) in &self.of_test {
             text += &format!(";{},{}", c.key(), exact(*h));
         }
+        if self.friction_per_k != 0.0 {
+            text += &format!(";friction_per_k,{}", exact(self.friction_per_k));
+        }
         fingerprint(&text)
     }
 }

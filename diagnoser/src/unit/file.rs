@@ -434,4 +434,18 @@ mod tests {
         assert_eq!(read.constants.mean[0], (0.01_f64 / 3.0).ln_1p());
         std::fs::remove_dir_all(&dir).unwrap();
     }
+
+    #[test]
+    fn prop_a_unit_keeps_its_slope_of_friction_and_is_told_from_others_by_it() {
+        let mut spread = sim_worker::catalogue::spread("service").unwrap();
+        let of = |s: &Spread| UnitFile::new("t".into(), "-".into(), ActuatorParameters::reference(), s.clone());
+        let a = of(&spread);
+        let path = std::env::temp_dir().join(format!("ema-unit-slope-{}.json", std::process::id()));
+        a.save(&path).unwrap();
+        let read = UnitFile::load(&path);
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(read.unwrap(), a);
+        spread.friction_per_k *= 2.0;
+        assert_ne!(a.prior().fingerprint(), of(&spread).prior().fingerprint());
+    }
 }
