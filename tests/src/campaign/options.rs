@@ -16,6 +16,12 @@ pub struct Options {
     pub report_only: bool,
     pub keep: bool,
     pub record: Option<PathBuf>,
+    /// generator of another hand in place of the own one
+    pub bed: Option<String>,
+    /// of that generator: what is hidden, and how strongly
+    pub class: String,
+    pub effect: Option<String>,
+    pub strength: f64,
 }
 
 impl Default for Options {
@@ -29,6 +35,10 @@ impl Default for Options {
             report_only: false,
             keep: false,
             record: None,
+            bed: None,
+            class: "one".into(),
+            effect: None,
+            strength: 1.0,
         }
     }
 }
@@ -48,6 +58,10 @@ Stopped and started again it goes on where it was.
   --report-only   no cases, only the report of what there is
   --keep          leave the recordings in DIR/data
   --record FILE   write the report to a file, too
+  --bed BED       cases of another hand: servo (rigs with a bench file) or actuator (two recordings of 8 s with phases)
+  --class KIND    of that bed: nothing, one, two or outside; an actuator has the first two [one]
+  --effect NAME   of that bed: this effect in every case [each in turn]
+  --strength X    of that bed: of the hidden effect [1]
   --help          this
 
 Classes:";
@@ -74,6 +88,14 @@ impl Options {
                 "--seed" => o.seed = number(&name, &value()?)?,
                 "--jobs" => o.jobs = number::<usize>(&name, &value()?)?.max(1),
                 "--only" => o.only.push(value()?),
+                "--bed" => o.bed = Some(value()?),
+                "--class" => o.class = value()?,
+                "--effect" => o.effect = Some(value()?),
+                "--strength" => {
+                    let text = value()?;
+                    let x = text.parse().ok().filter(|x: &f64| x.is_finite() && *x >= 0.0);
+                    o.strength = x.ok_or(format!("--strength: {text} is not a number from 0"))?;
+                }
                 "--record" => o.record = Some(value()?.into()),
                 "--report-only" => o.report_only = true,
                 "--keep" => o.keep = true,
@@ -103,6 +125,11 @@ mod tests {
 
     #[test]
     fn options_are_read() {
+        let o = parsed("--bed servo --class nothing --strength 0.3").unwrap().unwrap();
+        assert_eq!(
+            (o.bed.as_deref(), o.class.as_str(), o.strength),
+            (Some("servo"), "nothing", 0.3)
+        );
         let o = parsed("--cases 7 --seed=3 --jobs 0 --only one/matched --only two --record r.md --keep")
             .unwrap()
             .unwrap();
@@ -110,7 +137,7 @@ mod tests {
         assert_eq!(o.only, ["one/matched", "two"]);
         assert_eq!(o.record, Some("r.md".into()));
         assert_eq!(parsed("--cases 3 --help"), Ok(None));
-        for wrong in ["--cases", "--cases x", "--keep=1", "--no-such", "12"] {
+        for wrong in ["--cases", "--cases x", "--keep=1", "--no-such", "12", "--strength -1"] {
             assert!(parsed(wrong).is_err(), "{wrong}");
         }
     }

@@ -340,11 +340,18 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         // without a second sensor the noise of the motion would drive the column
         EffectKind::Compliance if s.user.is_none() => {}
         EffectKind::Compliance => {
-            // by what the user's sensor sees: what the motor feels of it is a fourth derivative of the angle
+            let (deflection, slip) = two_mass(s, shape[0], shape[1], shape[2]);
             out.fixed.push(Piece {
                 equation: Equation::Transmission,
                 order: 0,
-                signal: two_mass(s, shape[0], shape[1], shape[2]),
+                signal: deflection,
+                phase: None,
+            });
+            // the load's inertia follows its own speed rather than the motor's
+            out.fixed.push(Piece {
+                equation: Equation::Torque,
+                order: 1,
+                signal: slip.iter().map(|w| shape[2] * w).collect(),
                 phase: None,
             });
         }
@@ -391,7 +398,8 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         }
         _ => {
             let mut values = vec![1.0];
-            values.extend_from_slice(shape);
+            // the shapes of some are only for phases
+            values.extend(shape.iter().take(kind.keys().len() - 1));
             let column = amplitude(&values);
             if !column.is_empty() {
                 out.linear.push(column);
@@ -456,17 +464,18 @@ fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64) -> (Vec<f64>, V
     (followed, speed)
 }
 
-/// The load mass on its spring, driven by the motor's measured motion and the load torque: angle of the load less
-/// the motor's [rad].
-fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> Vec<f64> {
+/// The load mass on its spring, driven by the motor's measured motion and the load torque: angle [rad] and speed [rad/s] of
+/// the load less the motor's.
+fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> (Vec<f64>, Vec<f64>) {
     let natural = (stiffness / inertia.max(1e-12)).sqrt();
     let substeps = (natural / s.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
     let dt = 1.0 / (s.rate_hz * substeps as f64);
     let (mut x, mut w) = (s.theta[0], s.omega[0]);
-    let mut deflection = Vec::with_capacity(s.n);
+    let (mut deflection, mut slip) = (Vec::with_capacity(s.n), Vec::with_capacity(s.n));
     for k in 0..s.n {
         let next = (k + 1).min(s.n - 1);
         deflection.push(x - s.theta[k]);
+        slip.push(w - s.omega[k]);
         for j in 0..substeps {
             let share = (j as f64 + 0.5) / substeps as f64;
             let theta = s.theta[k] + share * (s.theta[next] - s.theta[k]);
@@ -480,7 +489,7 @@ fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> Vec<f64>
             x += middle * dt;
         }
     }
-    deflection
+    (deflection, slip)
 }
 
 /// The effect from shape parameters and fitted amplitudes.
@@ -490,7 +499,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
     let a = |i: usize| amplitudes.get(i).copied().unwrap_or(0.0);
     let values: Vec<f64> = match form(kind) {
         Form::Amplitude if kind == EffectKind::CurrentGain => vec![a(0) / (1.0 - a(0))],
-        Form::Amplitude if kind == EffectKind::CurrentOffset => vec![a(0)],
+        Form::Amplitude if kind.keys().len() == 1 => vec![a(0)],
         Form::Amplitude => [&[a(0)], shape].concat(),
         Form::Periodic if kind == EffectKind::EncoderEccentricity => vec![a(0).hypot(a(1)), a(1).atan2(a(0))],
         Form::Periodic => [&[a(0).hypot(a(1)), (-a(1)).atan2(a(0))], shape].concat(),
@@ -509,6 +518,8 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Amplitude if e.kind == EffectKind::CurrentGain => (vec![], vec![v[0] / (1.0 + v[0])]),
         Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
+        Form::Amplitude if e.kind == EffectKind::SupplySag => (vec![0.0], vec![v[0]]),
+        Form::Amplitude if e.kind == EffectKind::DeadTime => (vec![0.05], vec![v[0]]),
         Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
         Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {
             (vec![], vec![v[0] * v[1].cos(), v[0] * v[1].sin(), 0.0, 0.0])

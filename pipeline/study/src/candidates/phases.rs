@@ -22,7 +22,7 @@ fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) 
             let whole = p.mean(s, |theta| {
                 effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64) * share(q, theta)
             });
-            let signal = (0..s.n).map(|k| ke * s.omega[k] * whole[k]).collect();
+            let signal = (0..s.n).map(|k| ke * p.speed(s, k) * whole[k]).collect();
             column.push(Piece {
                 equation: Equation::Electrical,
                 order: 0,
@@ -86,12 +86,23 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             vec![column]
         }
         EffectKind::DeadTime if p.voltage.is_some() => {
-            // half of it in each of the two legs that conduct
-            vec![voltages(&|q, k| 0.5 * (p.current[q][k] / 0.05).tanh())]
+            // half of it in each of the two legs that conduct; what the ripple of the current leaves of its sign in the
+            // mean over a sample, and the noise of the sensor of a current near nothing
+            let width = shape.first().copied().unwrap_or(0.05);
+            vec![voltages(&|q, k| {
+                let x = (p.current[q][k] / width).powi(4);
+                0.5 * p.current[q][k].signum() * x / (1.0 + x)
+            })]
         }
         EffectKind::SupplySag if p.supply.is_some() && p.voltage.is_some() => {
             let (v, dc) = (p.voltage.as_ref()?, p.supply.as_ref()?);
-            let draw = |k: usize| (0..3).map(|q| v[q][k] * p.current[q][k]).sum::<f64>() / dc[k].max(1.0);
+            // what a link with a capacitor draws by its power, or what the legs carry where nothing levels it
+            let draw = |k: usize| {
+                if shape.first().is_some_and(|s| *s > 0.5) {
+                    return 0.5 * (0..3).map(|q| p.current[q][k].abs()).sum::<f64>();
+                }
+                (0..3).map(|q| v[q][k] * p.current[q][k]).sum::<f64>() / dc[k].max(1.0)
+            };
             vec![vec![Piece {
                 equation: Equation::Electrical,
                 order: 0,
@@ -102,16 +113,6 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
         EffectKind::WindingHeating if p.voltage.is_some() && s.temperature.is_none() => {
             // a winding that is warm from the beginning on
             vec![voltages(&|q, k| r * effect::COPPER_PER_K * p.current[q][k])]
-        }
-        EffectKind::CurrentGain if p.voltage.is_some() => {
-            let mut column = voltages(&|q, k| -r * p.current[q][k]);
-            column.push(Piece {
-                equation: Equation::Torque,
-                order: 0,
-                signal: s.drive.iter().map(|i| c.effect.torque_constant * i).collect(),
-                phase: None,
-            });
-            vec![column]
         }
         EffectKind::CurrentOffset => {
             let q = shape[0] as usize;
@@ -131,6 +132,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             }
             vec![column]
         }
+        // all constants together stand for a gain, which is judged by what is believed of them
         EffectKind::SupplySag | EffectKind::DeadTime | EffectKind::WindingHeating | EffectKind::CurrentGain => {
             Vec::new()
         }

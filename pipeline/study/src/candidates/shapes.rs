@@ -88,6 +88,8 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             out
         }
         EffectKind::TurnShort => one(vec![0.0, 1.0, 2.0]),
+        EffectKind::SupplySag if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0]),
+        EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => one(log(0.02, 0.16, 4)),
         EffectKind::CurrentOffset if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0, 2.0]),
         EffectKind::CurrentOffset => one(vec![0.0]),
         EffectKind::WindingHeating if runs.iter().all(|r| r.temperature.is_some()) => one(vec![0.0]),
@@ -128,8 +130,15 @@ fn deflected(runs: &[Signals]) -> Option<(f64, f64)> {
     (a > 0.0 && b > 0.0).then(|| (1.0 / b, a / b))
 }
 
-/// Whether a shape parameter is refined on a logarithmic scale; `None` where it is not refined.
-pub fn scales(kind: EffectKind) -> &'static [Option<bool>] {
+/// Whether each of an effect's shape parameters is refined on a logarithmic scale; `None` where it is not refined.
+///
+/// * `count` of them: some have one only where there are phases
+pub fn scales(kind: EffectKind, count: usize) -> &'static [Option<bool>] {
+    let all = all_scales(kind);
+    &all[..count.min(all.len())]
+}
+
+fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
     const LOG: Option<bool> = Some(true);
     const LIN: Option<bool> = Some(false);
     match kind {
@@ -140,7 +149,10 @@ pub fn scales(kind: EffectKind) -> &'static [Option<bool>] {
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
         EffectKind::CommutationOffset => &[LIN, None],
         EffectKind::Compliance => &[LOG, LOG, LOG],
-        EffectKind::TurnShort | EffectKind::WindingHeating | EffectKind::CurrentOffset => &[None],
+        EffectKind::TurnShort | EffectKind::WindingHeating | EffectKind::CurrentOffset | EffectKind::SupplySag => {
+            &[None]
+        }
+        EffectKind::DeadTime => &[LOG],
         _ => &[],
     }
 }
@@ -162,7 +174,10 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
-        EffectKind::TurnShort | EffectKind::WindingHeating | EffectKind::CurrentOffset => vec![(0.0, 2.0)],
+        EffectKind::TurnShort | EffectKind::WindingHeating | EffectKind::CurrentOffset | EffectKind::SupplySag => {
+            vec![(0.0, 2.0)]
+        }
+        EffectKind::DeadTime => vec![(0.005, 0.5)],
         EffectKind::ControlDelay => vec![(1e-6, 0.5)],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => vec![(0.1, 1000.0)],
         _ => vec![],

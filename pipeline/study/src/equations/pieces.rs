@@ -35,15 +35,21 @@ pub struct RigConstants {
 }
 
 impl RigConstants {
-    /// The true angle, by fixed-point iteration.
+    /// The true angle behind a measured one.
     pub fn true_angle(&self, measured: f64) -> f64 {
-        let (a, b) = self.encoder;
-        let mut t = measured;
-        if a != 0.0 || b != 0.0 {
-            for _ in 0..4 {
-                t = measured - (a * t.sin() + b * t.cos());
-            }
-        }
-        t
+        true_angle(self.encoder, measured)
     }
+}
+
+/// The angle behind a measured one, by fixed-point iteration.
+///
+/// * `a`, `b` amplitudes of sine and cosine of the sensor's error [rad]
+pub fn true_angle((a, b): (f64, f64), measured: f64) -> f64 {
+    let mut t = measured;
+    if a != 0.0 || b != 0.0 {
+        for _ in 0..4 {
+            t = measured - (a * t.sin() + b * t.cos());
+        }
+    }
+    t
 }

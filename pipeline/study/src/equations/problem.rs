@@ -68,8 +68,9 @@ pub struct Problem {
     pub(super) window: usize,
 }
 
-/// What a supply's voltage does by itself over a row [V] (assumed).
-const SUPPLY_NOISE_V: f64 = 0.02;
+/// What a supply's voltage does by itself over a row [V], at least and at most (assumed); between them, what it does from
+/// row to row says it.
+const SUPPLY_NOISE_V: (f64, f64) = (0.005, 0.02);
 /// Length of a row of the electrical equation [s], and its fewest samples (assumed): means over it leave little of
 /// the noise, and the current's change over it is known by its ends.
 const WINDOW_S: f64 = 0.006;
@@ -203,7 +204,7 @@ impl Problem {
             bank,
             mechanics,
             window,
-            supply_scale: floor[Equation::Electrical.index()] / SUPPLY_NOISE_V,
+            supply_scale: floor[Equation::Electrical.index()] / supply_noise(all, window),
             signals,
         };
         p.fill(bench, runs, nuisances);
@@ -309,7 +310,7 @@ impl Problem {
                     let flux: [Vec<f64>; 3] = std::array::from_fn(|q| {
                         let turn = std::f64::consts::TAU / 3.0 * q as f64;
                         let shape = p.mean(s, |theta| effect::shape(p.pole_pairs * theta - turn));
-                        shape.iter().zip(&s.omega).map(|(f, w)| f * w).collect()
+                        shape.iter().enumerate().map(|(k, f)| f * p.speed(s, k)).collect()
                     });
                     let mut columns = [vec![0.0; y.len()], vec![0.0; y.len()], vec![0.0; y.len()]];
                     for (i, &k) in block.samples.iter().enumerate() {
@@ -577,6 +578,22 @@ impl Problem {
         }
         w
     }
+}
+
+/// What the supply's voltage does from one row to the next, by the middle of its differences [V].
+fn supply_noise(runs: &[&Run], window: usize) -> f64 {
+    let (least, most) = SUPPLY_NOISE_V;
+    let means = |x: &[f64]| -> Vec<f64> {
+        let mean = |rows: &[f64]| rows.iter().sum::<f64>() / rows.len() as f64;
+        x.chunks_exact(window).map(mean).collect()
+    };
+    let all = runs.iter().filter_map(|r| r.channel(BenchChannel::VDc));
+    let mut steps: Vec<f64> = all
+        .flat_map(|x| means(x).windows(2).map(|w| (w[1] - w[0]).abs()).collect::<Vec<_>>())
+        .collect();
+    steps.sort_by(f64::total_cmp);
+    let middle = steps.get(steps.len() / 2).copied().unwrap_or(most);
+    (middle / 0.6745 / 2f64.sqrt()).clamp(least, most)
 }
 
 /// A channel that many samples later.

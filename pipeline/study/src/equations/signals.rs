@@ -1,6 +1,7 @@
 //! The motion of a run as the equations need it: smoothed angle and speed on one clock, the sign of
 //! the motion averaged over each sample, and the other channels brought to the same moment.
 
+use crate::equations::pieces::true_angle;
 use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{self, ChannelNoise, Run};
@@ -107,10 +108,13 @@ pub struct Phases {
     /// of the supply
     pub supply: Option<Vec<f64>>,
     pub pole_pairs: f64,
+    /// error of the angle sensor, and whether the speed is that of the measured angle
+    encoder: (f64, f64),
+    from_position: bool,
 }
 
 impl Phases {
-    fn new(bench: &Bench, run: &Run) -> Option<Self> {
+    fn new(bench: &Bench, run: &Run, from_position: bool) -> Option<Self> {
         let three = |c: [BenchChannel; 3]| -> Option<[Vec<f64>; 3]> {
             Some([
                 run.channel(c[0])?.to_vec(),
@@ -123,6 +127,8 @@ impl Phases {
             voltage: three(BenchChannel::VOLTAGES),
             supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),
             pole_pairs: bench.rig.pole_pairs,
+            encoder: bench.rig.encoder,
+            from_position,
         })
     }
 
@@ -133,7 +139,30 @@ impl Phases {
 
     fn way(&self, s: &Signals, k: usize) -> (f64, f64) {
         let half = 0.5 * s.omega[k] / s.rate_hz;
-        (s.theta[k] - half, s.theta[k] + half)
+        let at = |theta| true_angle(self.encoder, theta);
+        (at(s.theta[k] - half), at(s.theta[k] + half))
+    }
+
+    /// Speed of the rotor itself [rad/s].
+    pub fn speed(&self, s: &Signals, k: usize) -> f64 {
+        if !self.from_position || self.encoder == (0.0, 0.0) {
+            return s.omega[k];
+        }
+        const NEAR: f64 = 1e-4;
+        let at = |theta| true_angle(self.encoder, theta);
+        s.omega[k] * (at(s.theta[k] + NEAR) - at(s.theta[k] - NEAR)) / (2.0 * NEAR)
+    }
+
+    /// Current that acts on the torque, by the true angle.
+    fn drive(&self, s: &Signals) -> Vec<f64> {
+        let mut out = vec![0.0; s.n];
+        for q in 0..3 {
+            let shape = self.mean_over_support(s, q, |_, trap| trap);
+            for k in 0..s.n {
+                out[k] += 0.5 * self.current[q][k] * shape[k];
+            }
+        }
+        out
     }
 
     /// Mean over each sample, as far as phase `q` conducts, of a function of angle and back-EMF shape.
@@ -399,7 +428,7 @@ impl Signals {
         });
         let temperature = run.channel(BenchChannel::Temperature);
         let temperature = temperature.map(|x| FilterBank::new(0.002 * rate_hz, rate_hz, 0.0).whole(0, x));
-        Self {
+        let mut out = Self {
             n: run.samples,
             rate_hz,
             start_s: run.start_s,
@@ -428,13 +457,18 @@ impl Signals {
             temperature,
             voltage: at(BenchChannel::Voltage),
             supply: at(BenchChannel::VDc),
-            phases: Phases::new(bench, run),
+            phases: Phases::new(bench, run, clock.from_position),
             position,
             user,
             velocity: at(BenchChannel::Velocity),
             command,
             law,
+        };
+        if let Some(p) = out.phases.take_if(|p| p.encoder != (0.0, 0.0)) {
+            out.drive = p.drive(&out);
+            out.phases = Some(p);
         }
+        out
     }
 }
 

@@ -191,6 +191,8 @@ pub struct Rig {
     /// half-width of the known play, at the motor [rad]
     pub play: f64,
     pub controller: Option<ControllerLaw>,
+    /// error of the angle sensor as far as a study has found it: amplitudes of sine and cosine [rad]
+    pub encoder: (f64, f64),
     /// what the bench file does not say and the model's file did
     pub from_model: Vec<&'static str>,
     /// what neither says, and where it begins: keys and values in SI
@@ -248,6 +250,8 @@ pub struct Bench {
     pub runs: Vec<RunSpec>,
     /// what the rig is known to have, of an earlier study
     pub effects: Vec<Effect>,
+    /// recordings of the project's own telemetry, whose drive commutates in six steps
+    pub own: bool,
 }
 
 /// Relative difference up to which a gear ratio is the same one, rounded.
@@ -339,7 +343,9 @@ impl Bench {
                 }
                 let reference = ActuatorParameters::reference();
                 let actuator = actuator.unwrap_or(&reference);
-                Self::from_section(own::bench(all, actuator, channels)?, &all[0], Some(actuator))?
+                let mut bench = Self::from_section(own::bench(all, actuator, channels)?, &all[0], Some(actuator))?;
+                bench.own = true;
+                bench
             }
         };
         for r in &mut bench.runs {
@@ -397,6 +403,7 @@ impl Bench {
             channels,
             runs,
             effects,
+            own: false,
         };
         bench.add_q_current();
         for needed in [BenchChannel::Time, bench.rig.drive] {
@@ -635,6 +642,7 @@ fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
         supply_voltage,
         play: actuator.map_or(0.0, |a| a.backlash_half_width_rad * a.gear_ratio),
         controller,
+        encoder: (0.0, 0.0),
         from_model,
         assumed,
     })

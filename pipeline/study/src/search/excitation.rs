@@ -17,13 +17,12 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
     let stroke = span(&|s| s.theta.clone());
     let warm = has(BenchChannel::Temperature).then(|| span(&|s| s.temperature.clone().unwrap_or_default()));
     let loads = span(&|s| s.load_level.clone());
-    let torque = m
-        .fit
-        .signals
-        .iter()
-        .flat_map(|s| &s.drive)
-        .fold(0.0, |a: f64, u| a.max(u.abs()))
-        * m.bench.rig.drive_constant.value;
+    let mut drive: Vec<f64> = m.fit.signals.iter().flat_map(|s| &s.drive).map(|u| u.abs()).collect();
+    drive.sort_by(f64::total_cmp);
+    let kt = m.bench.rig.drive_constant.value;
+    let torque = drive.last().copied().unwrap_or(0.0) * kt;
+    // of all but the transients
+    let usual = drive.get(drive.len() * 19 / 20).copied().unwrap_or(0.0) * kt;
     let electrical = m.equations.contains(&Equation::Electrical);
     let fastest = m
         .fit
@@ -32,7 +31,7 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
         .flat_map(|s| &s.omega)
         .fold(0.0, |a: f64, w| a.max(w.abs()));
     // with a nominal drag of a twentieth of the torque, a change of it shows
-    let slow = m.constants.effect.viscous * fastest < 0.005 * torque && stroke > 0.0;
+    let slow = m.constants.effect.viscous * fastest < 0.005 * usual && stroke > 0.0;
     let why = |k: K| -> Option<&'static str> {
         match k {
             K::LoadDependentFriction if !has(BenchChannel::Load) => Some("no channel `load`"),

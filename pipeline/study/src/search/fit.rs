@@ -130,6 +130,13 @@ pub fn assembled<'a>(p: &Problem, regressors: &'a [Regressor]) -> (Vec<f64>, Vec
 /// Solves for nuisance parameters and amplitudes of terms whose shapes are given; the standard
 /// deviations of the equations are those of the residuals, in three rounds.
 pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Term], sigma0: [f64; 5]) -> Fit {
+    let loose = terms.iter().any(|t| t.kind == EffectKind::Compliance);
+    let mut freed = nuisances.to_vec();
+    // whether what is said of the inertia is with the load on its spring or without it, nobody knows
+    if loose && let Some(n) = freed.iter_mut().find(|n| n.name == "inertia") {
+        n.trust = n.trust.map(|t| t.max(1.0));
+    }
+    let nuisances = &freed[..];
     let mut fit = solve_freely(p, c, nuisances, terms, sigma0);
     // a sensor is as good as it is, a constant about what it is said to be: what goes further is not their error
     let mut held = nuisances.to_vec();

@@ -59,7 +59,7 @@ fn jacobian(m: &Material, p: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
 }
 
 fn step(term: &Term, i: usize) -> f64 {
-    match shapes::scales(term.kind)[i] {
+    match shapes::scales(term.kind, term.shape.len())[i] {
         Some(true) => 0.01 * term.shape[i].abs().max(1e-12),
         _ if term.kind == EffectKind::TightSpot => 0.05 * term.shape[1],
         _ if term.kind == EffectKind::Backlash => 0.01 * term.shape[i].abs().max(1.0),
@@ -72,7 +72,7 @@ fn step(term: &Term, i: usize) -> f64 {
 fn free_shapes(terms: &[Term]) -> Vec<(usize, usize)> {
     let mut out = Vec::new();
     for (t, term) in terms.iter().enumerate() {
-        for (i, scale) in shapes::scales(term.kind).iter().enumerate() {
+        for (i, scale) in shapes::scales(term.kind, term.shape.len()).iter().enumerate() {
             if scale.is_some() {
                 out.push((t, i));
             }

@@ -138,7 +138,7 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         "its sign is not physical"
     } else if !loose && any(&below) {
         "a constant of the machine would have to be negative"
-    } else if any(&strained) {
+    } else if !loose && any(&strained) {
         "a constant would have to be other than it is believed to be"
     } else if gain < LEAST_GAIN {
         "no more than chance gives"

@@ -1,3 +1,4 @@
+pub mod beside;
 pub mod closed_loop;
 pub mod excitation;
 pub mod fit;

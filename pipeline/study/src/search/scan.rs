@@ -243,7 +243,7 @@ impl<'a> Scan<'a> {
 
     /// Refines the shape parameters by a simplex search on the profile likelihood.
     pub fn refined(&self, kind: EffectKind, shape: &[f64], score: &Score, steps: usize) -> (Term, Score) {
-        let scales = shapes::scales(kind);
+        let scales = shapes::scales(kind, shape.len());
         let free: Vec<usize> = (0..scales.len()).filter(|i| scales[*i].is_some()).collect();
         let limits = shapes::limits(kind, &self.problem.signals);
         let plain = |x: &[f64]| -> Vec<f64> {

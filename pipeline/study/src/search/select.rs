@@ -34,7 +34,7 @@ pub struct Material {
     pub bench: Bench,
     pub runs: Arc<Vec<Run>>,
     /// of every channel; it does not change while a study goes on
-    noise: NoiseTable,
+    pub(super) noise: NoiseTable,
     pub clock: Clock,
     pub equations: Vec<Equation>,
     pub nuisances: Vec<Nuisance>,
@@ -179,7 +179,7 @@ impl Material {
     }
 
     fn set_up(
-        bench: Bench,
+        mut bench: Bench,
         runs: Arc<Vec<Run>>,
         noise: NoiseTable,
         nuisances: Vec<Nuisance>,
@@ -187,6 +187,7 @@ impl Material {
         encoder: (f64, f64),
         excess: (f64, f64),
     ) -> Self {
+        bench.rig.encoder = encoder;
         let of = |role: &[Role]| -> Vec<&Run> { runs.iter().filter(|r| role.contains(&r.role)).collect() };
         let used = of(&[Role::Fit, Role::Select, Role::HeldOut]);
         let clock = Clock::new(&bench, &used, &noise);

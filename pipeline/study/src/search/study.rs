@@ -3,6 +3,7 @@
 use crate::candidates::columns::{self, Form};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
+use crate::search::beside::{self, Beside};
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
 use crate::search::judge::{LEAST_GAIN, Step, TWICE, judged};
@@ -46,6 +47,8 @@ pub struct Outcome {
     /// effects, and the kinds that cannot be told from each
     pub ambiguous: Vec<(EffectKind, Vec<EffectKind>)>,
     pub proofs: Vec<Proof>,
+    /// effects that were found beside the equations
+    pub beside: Vec<Beside>,
     /// nuisance parameters around the model's own constants
     pub first_nuisances: Vec<Nuisance>,
     /// held-out energies by equation: nominal, re-tuned, with the effects
@@ -197,6 +200,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
             s.why_not = "the held-out data do not get better";
         }
     }
+    let beside = beside::beside(&m, &model);
     ambiguous.retain(|(k, _)| model.terms.iter().any(|t| t.kind == *k));
     // one filter and one set of rows for all three
     let retuned = m.solve(&[], m.first_sigma());
@@ -204,8 +208,9 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     let held_nominal_residual = m.held_residual(&nominal);
     let held_nominal = m.held_problem().energy(&held_nominal_residual);
     let nominal_to_channel = 1.0 / m.bench.rig.drive_constant.value;
-    let (mut verdict, explained, remainder) = conclude(&m, &nominal, &retuned, &model, &ambiguous);
-    if m.held.is_none() && !model.terms.is_empty() {
+    let (verdict, explained, remainder) = conclude(&m, &nominal, &retuned, &model, &ambiguous);
+    let mut verdict = verdict.beside(&beside);
+    if m.held.is_none() && !(model.terms.is_empty() && beside.is_empty()) {
         verdict = Verdict::Candidate;
     }
     let held_residuals = (m.held_residual(&retuned), m.held_residual(&model));
@@ -229,6 +234,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         remainder,
         ambiguous,
         proofs,
+        beside,
     }
 }
 

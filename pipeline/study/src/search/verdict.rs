@@ -2,6 +2,7 @@
 
 use crate::equations::problem::Problem;
 use crate::measured::bench::Noise;
+use crate::search::beside::Beside;
 use crate::search::fit::{Fit, Term};
 use crate::search::select::Material;
 use sim_worker::effect::{EffectKind, Equation};
@@ -50,6 +51,20 @@ impl Verdict {
             Self::Ambiguous => "ambiguous",
             Self::Unknown => "unknown",
             Self::Candidate => "candidate",
+        }
+    }
+}
+
+impl Verdict {
+    /// With what was found beside the equations, each proven by itself.
+    pub fn beside(self, found: &[Beside]) -> Self {
+        let apart = found.iter().all(|b| b.ambiguous.is_empty());
+        match self {
+            _ if found.is_empty() => self,
+            Self::None | Self::Retune if apart => Self::Named,
+            Self::None | Self::Retune => Self::Ambiguous,
+            Self::Named if !apart => Self::Ambiguous,
+            other => other,
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::equations::problem::Problem;
 use crate::measured::bench::{BenchChannel, Role};
+use crate::search::beside::Beside;
 use crate::search::closed_loop::{ClosedLoop, closed_loop};
 use crate::search::excitation;
 use crate::search::fit::{self, Fit};
@@ -111,8 +112,10 @@ fn constants(o: &Outcome, i: &Intervals) -> Vec<Identified> {
         if !n.of_machine || n.nominal == 0.0 {
             continue;
         }
-        let value = n.nominal * (1.0 + o.model.nuisance[k]);
-        let half = n.nominal.abs() * i.nuisance[k];
+        let factor = o.beside.iter().flat_map(|b| &b.factors).filter(|f| f.0 == n.name);
+        let factor: f64 = factor.map(|f| f.1).product();
+        let value = factor * n.nominal * (1.0 + o.model.nuisance[k]);
+        let half = factor * n.nominal.abs() * i.nuisance[k];
         out.push(Identified {
             name: n.name.to_string(),
             value,
@@ -172,6 +175,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
     if matches!(o.verdict, Verdict::None | Verdict::Retune) {
         return Vec::new();
     }
+    let beside = o.beside.iter().map(|b| found_beside(m, b));
     let scale = torque_scale(m, &o.model);
     let accepted: Vec<_> = o.steps.iter().filter(|s| s.accepted).collect();
     o.model
@@ -228,7 +232,32 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
         })
+        .chain(beside)
         .collect()
+}
+
+/// An effect that was found beside the equations.
+fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
+    let key = &b.kind.keys()[0];
+    FoundEffect {
+        name: b.kind.name().to_string(),
+        equation: b.kind.equation().name().to_string(),
+        term: term_text(b.kind).to_string(),
+        parameters: vec![Identified {
+            name: key.name.to_string(),
+            value: b.value,
+            lo: (b.value - b.half).max(key.low),
+            hi: (b.value + b.half).min(key.high),
+            unit: key.unit.to_string(),
+            nominal: None,
+        }],
+        explained_share: (1.0 - (b.after / b.before.max(1e-300)).powi(2)).clamp(0.0, 1.0),
+        runner_up: None,
+        ambiguous_with: b.ambiguous.iter().map(|k| k.name().to_string()).collect(),
+        alias: None,
+        channel: b.seen_in.to_string(),
+        heldout: m.held.is_some().then_some((b.before, b.after)),
+    }
 }
 
 /// What friction and eccentricity say of a unit of unknown health, against what the model's file calls healthy.
@@ -588,6 +617,18 @@ fn sentence(o: &Outcome, f: &Findings) -> String {
         )
     });
     let gap = gap.unwrap_or_default();
+    let beside: Vec<String> = o
+        .beside
+        .iter()
+        .map(|b| {
+            let of = |x: f64| told("", x, b.unit).trim().to_string();
+            format!("{} went from {} to {}", b.seen_in, of(b.before), of(b.after))
+        })
+        .collect();
+    let gap = match beside.is_empty() {
+        true => gap,
+        false => format!("{} on {held} data; {gap}", beside.join("; ")),
+    };
     let names: Vec<String> = f
         .effects
         .iter()
@@ -605,7 +646,9 @@ fn sentence(o: &Outcome, f: &Findings) -> String {
             format!("Missing from the model: {names}, and something that has no name yet; {gap}.")
         }
         Verdict::Ambiguous => {
-            let others: Vec<&str> = o.ambiguous.iter().flat_map(|a| &a.1).map(|k| k.name()).collect();
+            let beside = o.beside.iter().flat_map(|b| &b.ambiguous);
+            let others = o.ambiguous.iter().flat_map(|a| &a.1).chain(beside);
+            let others: Vec<&str> = others.map(|k| k.name()).collect();
             format!(
                 "Missing from the model: {names}, or {}, which these data cannot tell apart; {gap}.",
                 others.join(" or ")

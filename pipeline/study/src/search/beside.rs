@@ -1,0 +1,428 @@
+//! Effects that the equations of torque and voltage cannot show, because measured currents already have them in: what the
+//! drive does with its angle, what its sensors add up to, what a strong current gives, and what the
+//! constants say together. Of recordings of our own actuator with three phases; each by itself, on the fit runs, proven on
+//! the held-out ones.
+
+use crate::equations::problem::Problem;
+use crate::equations::signals::Signals;
+use crate::measured::bench::{BenchChannel, Role};
+use crate::measured::recording::Run;
+use crate::search::fit::Fit;
+use crate::search::select::Material;
+use sim_worker::effect::{COPPER_PER_K, EffectKind, NORMAL_95, conducting};
+
+/// An effect that was found beside the equations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Beside {
+    /// which effect
+    pub kind: EffectKind,
+    /// its one parameter, SI as in the list of effects
+    pub value: f64,
+    /// half-width of its 95 % interval
+    pub half: f64,
+    /// what it is seen in
+    pub seen_in: &'static str,
+    /// of `before` and `after`
+    pub unit: &'static str,
+    /// rms of what is seen without it and with it, on the runs that prove
+    pub before: f64,
+    pub after: f64,
+    /// kinds that the data cannot tell from it
+    pub ambiguous: Vec<EffectKind>,
+    /// names of constants, and what each is to be multiplied with where the effect stands beside it
+    pub factors: Vec<(&'static str, f64)>,
+}
+
+/// Standard deviations from which an estimate is an effect, and share of the squared gap that it must take on the runs
+/// that prove (assumed).
+const CERTAIN: f64 = 5.0;
+const LEAST_SHARE: f64 = 0.1;
+/// Least angle of the commutation [electrical rad], offset of a phase over what its sensor is believed to have, and loss of
+/// torque at the greatest current that matter (assumed).
+const LEAST_ANGLE: f64 = 0.03;
+const LEAST_OFFSET: f64 = 5.0;
+const LEAST_LOSS: f64 = 0.03;
+/// Current over the noise of its sensor from which its pattern counts, and way in a sample up to which it is a pattern
+/// [electrical rad] (assumed).
+const CLEAR: f64 = 12.0;
+const MOST_SWEEP: f64 = 0.4;
+/// Share of an impulse by which the strokes of the commutation make it uncertain (assumed).
+const ROUGH: f64 = 0.02;
+
+/// One part of an estimate: the least-squares sums of a run.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    xx: f64,
+    xy: f64,
+    yy: f64,
+    rows: f64,
+}
+
+impl Sums {
+    fn plus(self, o: &Self) -> Self {
+        Self {
+            xx: self.xx + o.xx,
+            xy: self.xy + o.xy,
+            yy: self.yy + o.yy,
+            rows: self.rows + o.rows,
+        }
+    }
+
+    /// rms of what is left with a value.
+    fn rms(&self, value: f64) -> f64 {
+        ((self.yy - 2.0 * value * self.xy + value * value * self.xx).max(0.0) / self.rows.max(1.0)).sqrt()
+    }
+}
+
+/// Value and standard deviation (jackknife over runs) of `y = value x`.
+fn jackknife(parts: &[Sums]) -> Option<(f64, f64)> {
+    let all = parts.iter().fold(Sums::default(), |a, b| a.plus(b));
+    let used: Vec<&Sums> = parts.iter().filter(|p| p.xx > 1e-4 * all.xx).collect();
+    if used.len() < 3 || all.xx <= 0.0 {
+        return None;
+    }
+    let value = all.xy / all.xx;
+    let of = |p: &&Sums| (all.xy - p.xy) / (all.xx - p.xx).max(1e-300);
+    Some((value, scatter(used.iter().map(of), value)))
+}
+
+/// Standard deviation by estimates that each leave one part out.
+fn scatter(without: impl ExactSizeIterator<Item = f64>, value: f64) -> f64 {
+    let n = without.len() as f64;
+    ((n - 1.0) / n * without.map(|x| (x - value).powi(2)).sum::<f64>()).sqrt()
+}
+
+/// Runs of a problem with their signals.
+fn runs<'a>(m: &'a Material, p: &'a Problem, held: bool) -> Vec<(&'a Run, &'a Signals)> {
+    let of = |r: &&Run| {
+        if held {
+            r.role == Role::HeldOut
+        } else {
+            matches!(r.role, Role::Fit | Role::Select)
+        }
+    };
+    m.runs.iter().filter(of).zip(&p.signals).collect()
+}
+
+/// What is found beside the equations; nothing where the recordings are not of an actuator of ours with phases.
+pub fn beside(m: &Material, model: &Fit) -> Vec<Beside> {
+    if !(m.bench.own && m.bench.has_phases()) {
+        return Vec::new();
+    }
+    let find = runs(m, &m.fit, false);
+    let prove = m.held.as_ref().map_or_else(|| find.clone(), |h| runs(m, h, true));
+    let both = [&find[..], &prove[..]];
+    [commutation(m, both), offset(m, both), saturation(m, model, both)]
+        .into_iter()
+        .flatten()
+        .chain(together(m, model))
+        .collect()
+}
+
+type Both<'a> = [&'a [(&'a Run, &'a Signals)]; 2];
+
+fn noise_of(m: &Material, c: BenchChannel) -> f64 {
+    m.noise.get(&c).map_or(0.0, |n| n.rms)
+}
+
+fn found(kind: EffectKind, (value, sd): (f64, f64), seen_in: (&'static str, &'static str), rms: (f64, f64)) -> Beside {
+    Beside {
+        kind,
+        value,
+        half: NORMAL_95 * sd,
+        seen_in: seen_in.0,
+        unit: seen_in.1,
+        before: rms.0,
+        after: rms.1,
+        ambiguous: Vec::new(),
+        factors: Vec::new(),
+    }
+}
+
+/// Whether it is far from nothing, and takes its share of the gap on the runs that prove.
+fn holds(value: f64, sd: f64, least: f64, before: f64, after: f64) -> bool {
+    value.abs() > CERTAIN * sd && value.abs() > least && after * after < (1.0 - LEAST_SHARE) * before * before
+}
+
+/// Squared gap of the phase currents to the pattern that a commutation off by `angle` asks for, and number of values.
+fn pattern_gap(m: &Material, s: &Signals, angle: f64) -> (f64, f64) {
+    let Some(p) = &s.phases else { return (0.0, 0.0) };
+    let clear = CLEAR * noise_of(m, BenchChannel::CurrentA).max(1e-9);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for k in (1..s.n.saturating_sub(1)).step_by(3) {
+        let i: [f64; 3] = std::array::from_fn(|q| p.current[q][k]);
+        let size = |k: usize| 0.5 * (0..3).map(|q| p.current[q][k].abs()).sum::<f64>();
+        let sweep = s.omega[k] / s.rate_hz;
+        let steady = (size(k + 1) - size(k - 1)).abs() < 0.4 * size(k);
+        if size(k) < clear || !steady || (sweep * p.pole_pairs).abs() > MOST_SWEEP || s.stepping[k] {
+            continue;
+        }
+        let mut shape = [0.0; 3];
+        for j in 0..6 {
+            let theta = s.theta[k] + sweep * ((j as f64 + 0.5) / 6.0 - 0.5) + angle / p.pole_pairs;
+            let on = conducting(theta, p.pole_pairs);
+            (0..3).for_each(|q| shape[q] += on[q] / 6.0);
+        }
+        let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (ii, ir, rr) = (dot(&i, &i), dot(&i, &shape), dot(&shape, &shape));
+        // by the current's own size, so that all speeds count alike
+        sum += (ii - ir * ir / rr.max(1e-12)).max(0.0) / ii;
+        count += 1.0;
+    }
+    (sum, count)
+}
+
+/// The drive's angle: which phase conducts where.
+fn commutation(m: &Material, [find, prove]: Both) -> Option<Beside> {
+    const STEP: f64 = 0.05;
+    let grid: Vec<f64> = (-20..=20).map(|j| STEP * f64::from(j)).collect();
+    let costs: Vec<Vec<f64>> = find
+        .iter()
+        .map(|(_, s)| grid.iter().map(|a| pattern_gap(m, s, *a).0).collect())
+        .collect();
+    // the least of a parabola through the least and its neighbours
+    let least = |without: Option<usize>| -> Option<f64> {
+        let of = |j: usize| {
+            costs
+                .iter()
+                .enumerate()
+                .filter(|(r, _)| Some(*r) != without)
+                .map(|(_, c)| c[j])
+                .sum()
+        };
+        let all: Vec<f64> = (0..grid.len()).map(of).collect();
+        let j = (1..grid.len() - 1).min_by(|a, b| all[*a].total_cmp(&all[*b]))?;
+        let (a, b, c) = (all[j - 1], all[j], all[j + 1]);
+        let bend = a - 2.0 * b + c;
+        (bend > 0.0).then(|| grid[j] + (0.5 * STEP * (a - c) / bend).clamp(-STEP, STEP))
+    };
+    let value = least(None)?;
+    let without: Vec<f64> = (0..costs.len()).filter_map(|r| least(Some(r))).collect();
+    if without.len() < 3 {
+        return None;
+    }
+    // the pattern's edges are known to a part of the way in a sample
+    let sd = scatter(without.into_iter(), value).max(LEAST_ANGLE / CERTAIN / 2.0);
+    let rms = |angle: f64| {
+        let (sum, count) = prove
+            .iter()
+            .map(|(_, s)| pattern_gap(m, s, angle))
+            .fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        (sum / f64::max(count, 1.0)).sqrt()
+    };
+    let (before, after) = (rms(0.0), rms(value));
+    debug("commutation", value, sd, before, after);
+    let seen = (
+        "phase currents against the pattern of their angle, over the current",
+        "-",
+    );
+    holds(value, sd, LEAST_ANGLE, before, after)
+        .then(|| found(EffectKind::CommutationOffset, (value, sd), seen, (before, after)))
+}
+
+fn debug(name: &str, value: f64, sd: f64, before: f64, after: f64) {
+    if std::env::var_os("EMA_BESIDE").is_some() {
+        eprintln!("  beside {name} {value:.6} sd {sd:.6} before {before:.5} after {after:.5}");
+    }
+}
+
+/// What the phase currents add up to, which is nothing but the offsets of their sensors.
+fn offset(m: &Material, [find, prove]: Both) -> Option<Beside> {
+    let spec = m.bench.channel(BenchChannel::CurrentA)?;
+    let believed = spec.offset.unwrap_or(noise_of(m, BenchChannel::CurrentA)) * 3f64.sqrt();
+    let sums = |s: &Signals| -> Sums {
+        let Some(p) = &s.phases else { return Sums::default() };
+        // means over stretches, whose noise is small
+        (0..s.n / 50).fold(Sums::default(), |all, block| {
+            let mean = (50 * block..50 * (block + 1))
+                .map(|k| (0..3).map(|q| p.current[q][k]).sum::<f64>())
+                .sum::<f64>()
+                / 50.0;
+            all.plus(&Sums {
+                xx: 1.0,
+                xy: mean,
+                yy: mean * mean,
+                rows: 1.0,
+            })
+        })
+    };
+    let parts: Vec<Sums> = find.iter().map(|(_, s)| sums(s)).collect();
+    let (value, sd) = jackknife(&parts)?;
+    let proof = prove
+        .iter()
+        .map(|(_, s)| sums(s))
+        .fold(Sums::default(), |a, b| a.plus(&b));
+    let (before, after) = (proof.rms(0.0), proof.rms(value));
+    debug("offset", value, sd, before, after);
+    // of which the sensors' usual ones are a part
+    let sd = sd.hypot(believed);
+    let seen = ("sum of the phase currents", "A");
+    holds(value, sd, LEAST_OFFSET * believed, before, after)
+        .then(|| found(EffectKind::CurrentOffset, (value, sd), seen, (before, after)))
+}
+
+/// Stretches of strong current: what they give to the motion beside what the flux makes of them. `y = x - coefficient z`,
+/// impulses over the stretch, each over its own uncertainty. And the greatest current.
+fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64) {
+    let constant = |name: &str| {
+        let of = m.nuisances.iter().zip(&model.nuisance).find(|(n, _)| n.name == name);
+        of.map_or(0.0, |(n, x)| n.nominal * (1.0 + x))
+    };
+    let (Some(p), Some(w)) = (&s.phases, run.channel(BenchChannel::Velocity)) else {
+        return (Vec::new(), 0.0);
+    };
+    let (j, c, f, ke) = (
+        constant("inertia"),
+        constant("viscous"),
+        constant("coulomb"),
+        0.5 * constant("torque_constant"),
+    );
+    let dt = 1.0 / s.rate_hz;
+    let shapes: [Vec<f64>; 3] = std::array::from_fn(|q| p.mean_over_support(s, q, |_, trap| trap));
+    let size = |k: usize| 0.5 * (0..3).map(|q| p.current[q][k].abs()).sum::<f64>();
+    let mut out = Vec::new();
+    let mut greatest: f64 = 0.0;
+    let mut k = 2;
+    while k + 3 < s.n {
+        if !s.stepping[k] {
+            k += 1;
+            continue;
+        }
+        let from = k;
+        while k + 3 < s.n && s.stepping[k] {
+            k += 1;
+        }
+        let (mut given, mut lost, mut taken) = (0.0, 0.0, 0.0);
+        for k in from..k {
+            for q in 0..3 {
+                let t = ke * p.current[q][k] * shapes[q][k] * dt;
+                given += t;
+                lost += t * p.current[q][k].abs();
+            }
+            let speed = 0.5 * (w[k] + w[k - 1]);
+            taken += dt * (c * speed + f * speed.signum());
+            greatest = greatest.max(size(k));
+        }
+        taken += j * (w[k - 1] - w[from - 1]);
+        // where it turns round friction is not known
+        let turns = (from..k).any(|k| w[k] * w[k - 1] <= 0.0);
+        let noise = 2.0 * j * noise_of(m, BenchChannel::Velocity);
+        if given.abs() < 10.0 * noise || turns {
+            continue;
+        }
+        let size = (ROUGH * given).hypot(noise);
+        let (y, x) = ((given - taken) / size, lost / size);
+        out.push(Sums {
+            xx: x * x,
+            xy: x * y,
+            yy: y * y,
+            rows: 1.0,
+        });
+    }
+    (out, greatest)
+}
+
+/// Torque that strong currents do not give. No equation has these stretches, so they are shared out by themselves: every
+/// third of them proves what the others find.
+fn saturation(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> {
+    if !model.terms.is_empty() || m.held.is_none() {
+        return None;
+    }
+    let mut runs: Vec<&(&Run, &Signals)> = find.iter().chain(prove).collect();
+    runs.sort_by(|a, b| a.1.start_s.total_cmp(&b.1.start_s).then(a.0.name.cmp(&b.0.name)));
+    let all: Vec<(Vec<Sums>, f64)> = runs.iter().map(|(r, s)| strong(m, model, r, s)).collect();
+    let greatest = all.iter().fold(0.0, |a: f64, b| a.max(b.1));
+    let mut stretches: Vec<Sums> = all.into_iter().flat_map(|a| a.0).collect();
+    // the strongest among those that prove as among those that find
+    stretches.sort_by(|a, b| b.xx.total_cmp(&a.xx));
+    let proves = |i: usize| i % 3 == 1;
+    let of = |wanted: bool| -> Vec<Sums> {
+        let all = stretches.iter().enumerate().filter(|(i, _)| proves(*i) == wanted);
+        all.map(|(_, s)| *s).collect()
+    };
+    let (value, sd) = jackknife(&of(false))?;
+    let proof = of(true).iter().fold(Sums::default(), |a, b| a.plus(b));
+    let (before, after) = (proof.rms(0.0), proof.rms(value));
+    debug("saturation", value, sd, before, after);
+    let seen = (
+        "impulses of strong currents against what the flux makes of them, over their uncertainty",
+        "-",
+    );
+    (value > 0.0 && greatest > 0.0 && holds(value, sd, LEAST_LOSS / greatest, before, after))
+        .then(|| found(EffectKind::TorqueSaturation, (value, sd), seen, (before, after)))
+}
+
+/// How far constants of units of one type differ, one sigma relative: resistance at 20 degC, inductance, inertia
+/// (assumed); and squared standard deviations that an explanation must take.
+const OF_UNITS: [(&str, f64); 3] = [("resistance", 0.04), ("inductance", 0.03), ("inertia", 0.08)];
+const TOGETHER: f64 = 9.0;
+/// Squared standard deviations by which another explanation must be worse.
+const APART: f64 = 4.0;
+
+/// What the constants say together: a warm winding raises the resistance alone; a sensor that shows too much current
+/// lowers resistance and inductance and raises what has to be moved, all by one factor.
+fn together(m: &Material, model: &Fit) -> Option<Beside> {
+    let disturbing = |t: &crate::search::fit::Term| {
+        matches!(
+            t.kind,
+            EffectKind::DeadTime | EffectKind::TurnShort | EffectKind::Compliance | EffectKind::Backlash
+        )
+    };
+    if m.held.is_none() || model.terms.iter().any(disturbing) {
+        return None;
+    }
+    let off = |name: &str| -> Option<f64> {
+        let place = m.nuisances.iter().position(|n| n.name == name)?;
+        let n = &m.nuisances[place];
+        // over what the type's file says: the middle of the prior is there
+        Some(((1.0 + model.nuisance[place]) / (1.0 + n.centre)).ln())
+    };
+    let x: Vec<f64> = OF_UNITS.iter().map(|c| off(c.0)).collect::<Option<_>>()?;
+    let of = |x: &[f64]| -> f64 { x.iter().zip(&OF_UNITS).map(|(x, c)| (x / c.1).powi(2)).sum() };
+    let by = [-1.0, -1.0, 1.0];
+    // x = g (-1, -1, 1), weighted
+    let weight = |i: usize| OF_UNITS[i].1.powi(-2);
+    let total: f64 = (0..3).map(weight).sum();
+    let g = (0..3).map(|i| weight(i) * by[i] * x[i]).sum::<f64>() / total;
+    let left: Vec<f64> = (0..3).map(|i| x[i] - by[i] * g).collect();
+    let (plain, warm, gain) = (of(&x), of(&[0.0, x[1], x[2]]), of(&left));
+    debug("together", x[0], x[1], plain, warm);
+    debug("  gain", g, total.recip().sqrt(), plain, gain);
+    let all_better = (0..3).all(|i| left[i].abs() <= x[i].abs().max(OF_UNITS[i].1));
+    let warmth = x[0].exp_m1() / COPPER_PER_K;
+    let is_warm = x[0] > 0.0 && plain - warm > TOGETHER;
+    let is_gain = plain - gain > TOGETHER && all_better;
+    let seen = ("constants against those of the type, in their standard deviations", "-");
+    let rms = |after: f64| (plain.sqrt(), after.sqrt());
+    let other = |kind: EffectKind, own: f64, other: f64, is: bool| {
+        if is && other - own < APART {
+            vec![kind]
+        } else {
+            Vec::new()
+        }
+    };
+    if is_gain && (!is_warm || gain < warm) {
+        let sd = g.exp() * total.recip().sqrt();
+        let b = found(EffectKind::CurrentGain, (g.exp_m1(), sd), seen, rms(gain));
+        return Some(Beside {
+            ambiguous: other(EffectKind::WindingHeating, gain, warm, is_warm),
+            factors: vec![
+                ("resistance", g.exp()),
+                ("inductance", g.exp()),
+                ("inertia", (-g).exp()),
+                ("coulomb", (-g).exp()),
+                ("viscous", (-g).exp()),
+            ],
+            ..b
+        });
+    }
+    is_warm.then(|| {
+        let sd = OF_UNITS[0].1 * x[0].exp() / COPPER_PER_K;
+        let b = found(EffectKind::WindingHeating, (warmth, sd), seen, rms(warm));
+        Beside {
+            ambiguous: other(EffectKind::CurrentGain, warm, gain, is_gain),
+            factors: vec![("resistance", (-x[0]).exp())],
+            ..b
+        }
+    })
+}
