@@ -81,6 +81,10 @@ fn val_recordings_of_an_independent_program_get_their_names_and_no_others() {
         Some("stribeck"),
         Some("supply_sag"),
         Some("eccentricity"),
+        Some("compliance"),
+        Some("commutation_offset"),
+        Some("torque_saturation"),
+        Some("current_gain"),
     ];
     for (seed, effect) in wanted.into_iter().enumerate() {
         let folder = dir.path().join(effect.unwrap_or("nothing"));

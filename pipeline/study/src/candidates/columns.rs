@@ -162,7 +162,9 @@ fn blur(e: &Effect, m: &effect::Signals, s: &Signals) -> f64 {
 }
 
 /// `sin` and `cos` of the angle, times what an angle error does to each equation.
-fn encoder(s: &Signals, c: &RigConstants, f: fn(f64) -> f64) -> Column {
+///
+/// * `both` the speed is that of the same sensor and has the error's derivative in it
+fn encoder(s: &Signals, c: &RigConstants, both: bool, f: fn(f64) -> f64) -> Column {
     let error: Vec<f64> = s.theta.iter().map(|t| f(c.true_angle(*t))).collect();
     let times = |g: f64| -> Vec<f64> { error.iter().map(|e| g * e).collect() };
     let mut column = Vec::new();
@@ -175,7 +177,15 @@ fn encoder(s: &Signals, c: &RigConstants, f: fn(f64) -> f64) -> Column {
         })
     };
     add(Equation::Kinematic, 0, times(1.0));
-    if c.from_position && s.voltage.is_some() {
+    if both {
+        let last = s.n - 1;
+        let rate = |k: usize| {
+            let (a, b) = (k.saturating_sub(1), (k + 1).min(last));
+            (error[b] - error[a]) * s.rate_hz / (b - a) as f64
+        };
+        add(Equation::Kinematic, 1, (0..s.n).map(rate).collect());
+    }
+    if (c.from_position || both) && s.voltage.is_some() {
         add(Equation::Electrical, 1, times(-c.back_emf));
     }
     if s.user.is_some() {
@@ -246,7 +256,8 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         EffectKind::EncoderEccentricity => {
             // an angle sensor that is out of centre is seldom round either: twice a turn comes along
             let forms: [fn(f64) -> f64; 4] = [f64::sin, f64::cos, |t| (2.0 * t).sin(), |t| (2.0 * t).cos()];
-            out.linear = forms.map(|f| encoder(s, c, f)).into();
+            let both = shape.first().is_some_and(|x| *x > 0.5);
+            out.linear = forms.map(|f| encoder(s, c, both, f)).into();
         }
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
             out.linear = vec![
@@ -340,20 +351,30 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         // without a second sensor the noise of the motion would drive the column
         EffectKind::Compliance if s.user.is_none() => {}
         EffectKind::Compliance => {
-            let (deflection, slip) = two_mass(s, shape[0], shape[1], shape[2]);
-            out.fixed.push(Piece {
-                equation: Equation::Transmission,
-                order: 0,
-                signal: deflection,
-                phase: None,
-            });
+            let moved = |load: &[f64]| two_mass(s, shape[0], shape[1], shape[2], load);
             // the load's inertia follows its own speed rather than the motor's
-            out.fixed.push(Piece {
-                equation: Equation::Torque,
-                order: 1,
-                signal: slip.iter().map(|w| shape[2] * w).collect(),
-                phase: None,
-            });
+            let pieces = |(deflection, slip): (Vec<f64>, Vec<f64>)| -> Column {
+                let piece = |equation, order, signal| Piece {
+                    equation,
+                    order,
+                    signal,
+                    phase: None,
+                };
+                vec![
+                    piece(Equation::Transmission, 0, deflection),
+                    piece(Equation::Torque, 1, slip.iter().map(|w| shape[2] * w).collect()),
+                ]
+            };
+            let base = moved(&s.load);
+            // drag and dry friction behind the spring
+            for torque in [&s.omega, &s.sign] {
+                let both: Vec<f64> = s.load.iter().zip(torque).map(|(l, t)| l + t).collect();
+                let (mut x, mut w) = moved(&both);
+                x.iter_mut().zip(&base.0).for_each(|(x, b)| *x -= b);
+                w.iter_mut().zip(&base.1).for_each(|(w, b)| *w -= b);
+                out.linear.push(pieces((x, w)));
+            }
+            out.fixed.extend(pieces(base));
         }
         EffectKind::TorqueSaturation => {
             // linear while the torque still rises with the current
@@ -464,13 +485,37 @@ fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64) -> (Vec<f64>, V
     (followed, speed)
 }
 
-/// The load mass on its spring, driven by the motor's measured motion and the load torque: angle [rad] and speed [rad/s] of
+/// How far and how fast the load is ahead of the motor when a run begins, by the user's sensor: a spring that is hardly
+/// damped remembers it.
+fn released(s: &Signals) -> (f64, f64) {
+    /// samples of the straight line at the start (assumed)
+    const FIRST: usize = 9;
+    let Some(user) = s.user.as_ref().filter(|_| s.n > 10 * FIRST) else {
+        return (0.0, 0.0);
+    };
+    let ahead = |k: usize| user[k] - s.position[k];
+    // the sensors' zeros differ; over a run the load is as often ahead as behind
+    let mean = (0..s.n).map(ahead).sum::<f64>() / s.n as f64;
+    let middle = (FIRST / 2) as f64;
+    let (mut level, mut slope, mut weight) = (0.0, 0.0, 0.0);
+    for k in 0..FIRST {
+        let t = k as f64 - middle;
+        level += (ahead(k) - mean) / FIRST as f64;
+        slope += t * (ahead(k) - mean);
+        weight += t * t;
+    }
+    let slope = slope / weight;
+    (level - middle * slope, slope * s.rate_hz)
+}
+
+/// The load mass on its spring, driven by the motor's measured motion and a torque against it [N m]: angle [rad] and speed [rad/s] of
 /// the load less the motor's.
-fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> (Vec<f64>, Vec<f64>) {
+fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64, load: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let natural = (stiffness / inertia.max(1e-12)).sqrt();
     let substeps = (natural / s.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
     let dt = 1.0 / (s.rate_hz * substeps as f64);
-    let (mut x, mut w) = (s.theta[0], s.omega[0]);
+    let (x0, w0) = released(s);
+    let (mut x, mut w) = (s.theta[0] + x0, s.omega[0] + w0);
     let (mut deflection, mut slip) = (Vec::with_capacity(s.n), Vec::with_capacity(s.n));
     for k in 0..s.n {
         let next = (k + 1).min(s.n - 1);
@@ -481,7 +526,7 @@ fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64) -> (Vec<f64
             let theta = s.theta[k] + share * (s.theta[next] - s.theta[k]);
             let omega = s.omega[k] + share * (s.omega[next] - s.omega[k]);
             // implicit midpoint rule: no damping but the spring's own
-            let load = s.load[k] + share * (s.load[next] - s.load[k]);
+            let load = load[k] + share * (load[next] - load[k]);
             let half = 0.5 * dt / inertia;
             let push = stiffness * (theta - x) + damping * omega - load;
             let middle = (w + half * push) / (1.0 + half * (0.5 * dt * stiffness + damping));

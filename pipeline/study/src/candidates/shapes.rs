@@ -2,6 +2,7 @@
 
 use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
+use crate::measured::filter::FilterBank;
 use crate::measured::recording::extent;
 use sim_worker::effect::EffectKind;
 use std::f64::consts::TAU;
@@ -78,6 +79,14 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
                     out.push(vec![k, share * (k * j).sqrt(), j]);
                 }
             }
+            for corner in CORNERS {
+                if let Some((natural, slowing)) = swinging(runs, corner * rate) {
+                    for share in [0.1, 0.25, 0.45, 0.7] {
+                        let j = share * c.inertia;
+                        out.push(vec![j * natural * natural, j * slowing, j]);
+                    }
+                }
+            }
             for f in log(0.004 * rate, 0.12 * rate, 8) {
                 for share in [0.25, 0.6] {
                     let j = share * c.inertia;
@@ -88,6 +97,9 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             out
         }
         EffectKind::TurnShort => one(vec![0.0, 1.0, 2.0]),
+        // a speed sensor of its own, or the speed of the same angle
+        EffectKind::EncoderEccentricity if runs.iter().all(|r| r.velocity.is_some()) => one(vec![0.0, 1.0]),
+        EffectKind::EncoderEccentricity => one(vec![0.0]),
         EffectKind::SupplySag if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0]),
         EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => one(log(0.02, 0.16, 4)),
         EffectKind::CurrentOffset if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0, 2.0]),
@@ -97,6 +109,50 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         EffectKind::ControlDelay => one(log(0.2 / runs[0].rate_hz, 40.0 / runs[0].rate_hz, 10)),
         _ => vec![vec![]],
     }
+}
+
+/// Corners of the filters behind which a deflection's own swing is looked for, over the rate (assumed).
+const CORNERS: [f64; 3] = [0.06, 0.015, 0.004];
+
+/// Natural frequency [rad/s] and damping over inertia [1/s] of a load on a spring, from the measured deflection:
+/// `x'' + theta'' = -slowing x' - natural^2 x`, less drag, dry friction and load, by least squares behind one filter.
+fn swinging(runs: &[Signals], corner_hz: f64) -> Option<(f64, f64)> {
+    const COLUMNS: usize = 6;
+    let mut gram = nalgebra::DMatrix::<f64>::zeros(COLUMNS, COLUMNS);
+    let mut right = nalgebra::DVector::<f64>::zeros(COLUMNS);
+    for s in runs {
+        let user = s.user.as_ref()?;
+        let bank = FilterBank::new(corner_hz, s.rate_hz, 0.0);
+        let x: Vec<f64> = user.iter().zip(&s.position).map(|(u, p)| u - p).collect();
+        let reach = bank.half();
+        if s.n < 4 * reach {
+            continue;
+        }
+        let of = |order: usize, x: &[f64]| bank.whole(order, x);
+        let (x0, x1, x2) = (of(0, &x), of(1, &x), of(2, &x));
+        let (w, a) = (of(1, &s.position), of(2, &s.position));
+        let (sign, load) = (of(0, &s.sign), of(0, &s.load));
+        for k in reach..s.n - reach {
+            let row = [-x1[k], -x0[k], -w[k], -sign[k], -load[k], 1.0];
+            for i in 0..COLUMNS {
+                right[i] += row[i] * (x2[k] + a[k]);
+                (0..COLUMNS).for_each(|j| gram[(i, j)] += row[i] * row[j]);
+            }
+        }
+    }
+    // columns that are nothing stay out
+    let scale: Vec<f64> = (0..COLUMNS).map(|i| gram[(i, i)].sqrt().max(1e-300)).collect();
+    for i in 0..COLUMNS {
+        right[i] /= scale[i];
+        (0..COLUMNS).for_each(|j| gram[(i, j)] /= scale[i] * scale[j]);
+        gram[(i, i)] += 1e-12;
+    }
+    let found = gram.cholesky()?.solve(&right);
+    let (slowing, natural) = (found[0] / scale[0], found[1] / scale[1]);
+    (natural > 0.0 && natural.is_finite() && slowing.is_finite()).then(|| {
+        let natural = natural.sqrt();
+        (natural, slowing.clamp(0.02 * natural, 2.0 * natural))
+    })
 }
 
 /// Stiffness and load inertia from the measured deflection, as a spring without dynamics shows it.
@@ -174,9 +230,11 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
-        EffectKind::TurnShort | EffectKind::WindingHeating | EffectKind::CurrentOffset | EffectKind::SupplySag => {
-            vec![(0.0, 2.0)]
-        }
+        EffectKind::TurnShort
+        | EffectKind::WindingHeating
+        | EffectKind::CurrentOffset
+        | EffectKind::EncoderEccentricity
+        | EffectKind::SupplySag => vec![(0.0, 2.0)],
         EffectKind::DeadTime => vec![(0.005, 0.5)],
         EffectKind::ControlDelay => vec![(1e-6, 0.5)],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => vec![(0.1, 1000.0)],

@@ -4,6 +4,7 @@ use sim_worker::effect::{Constants, Equation};
 
 /// A signal in an equation, to be filtered (0), or filtered and differentiated once or twice. Of the kinematic
 /// equation, 0 is what stands in the measured angle, 1 what stands in the measured speed.
+#[derive(Clone)]
 pub struct Piece {
     pub equation: Equation,
     pub order: usize,

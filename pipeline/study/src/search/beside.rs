@@ -7,7 +7,7 @@ use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::bench::{BenchChannel, Role};
 use crate::measured::recording::Run;
-use crate::search::fit::Fit;
+use crate::search::fit::{Fit, Term};
 use crate::search::select::Material;
 use sim_worker::effect::{COPPER_PER_K, EffectKind, NORMAL_95, conducting};
 
@@ -211,19 +211,12 @@ fn commutation(m: &Material, [find, prove]: Both) -> Option<Beside> {
         (sum / f64::max(count, 1.0)).sqrt()
     };
     let (before, after) = (rms(0.0), rms(value));
-    debug("commutation", value, sd, before, after);
     let seen = (
         "phase currents against the pattern of their angle, over the current",
         "-",
     );
     holds(value, sd, LEAST_ANGLE, before, after)
         .then(|| found(EffectKind::CommutationOffset, (value, sd), seen, (before, after)))
-}
-
-fn debug(name: &str, value: f64, sd: f64, before: f64, after: f64) {
-    if std::env::var_os("EMA_BESIDE").is_some() {
-        eprintln!("  beside {name} {value:.6} sd {sd:.6} before {before:.5} after {after:.5}");
-    }
 }
 
 /// What the phase currents add up to, which is nothing but the offsets of their sensors.
@@ -253,7 +246,6 @@ fn offset(m: &Material, [find, prove]: Both) -> Option<Beside> {
         .map(|(_, s)| sums(s))
         .fold(Sums::default(), |a, b| a.plus(&b));
     let (before, after) = (proof.rms(0.0), proof.rms(value));
-    debug("offset", value, sd, before, after);
     // of which the sensors' usual ones are a part
     let sd = sd.hypot(believed);
     let seen = ("sum of the phase currents", "A");
@@ -343,7 +335,6 @@ fn saturation(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> 
     let (value, sd) = jackknife(&of(false))?;
     let proof = of(true).iter().fold(Sums::default(), |a, b| a.plus(b));
     let (before, after) = (proof.rms(0.0), proof.rms(value));
-    debug("saturation", value, sd, before, after);
     let seen = (
         "impulses of strong currents against what the flux makes of them, over their uncertainty",
         "-",
@@ -359,10 +350,44 @@ const TOGETHER: f64 = 9.0;
 /// Squared standard deviations by which another explanation must be worse.
 const APART: f64 = 4.0;
 
-/// What the constants say together: a warm winding raises the resistance alone; a sensor that shows too much current
-/// lowers resistance and inductance and raises what has to be moved, all by one factor.
+/// What stands behind constants that are off together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Behind {
+    /// logarithm of the factor of the resistance
+    Warm(f64),
+    /// logarithm of the factor of the measured current
+    Gain(f64),
+}
+
+/// A warm winding raises the resistance alone; a sensor that shows too much current lowers resistance and inductance and
+/// raises what has to be moved, all by one factor. What explains them, the other where it does as well, and squared
+/// standard deviations from the type's constants without it and with it.
+///
+/// * `x` logarithms of the constants of [`OF_UNITS`] over those of the type
+fn explained(x: [f64; 3]) -> Option<(Behind, bool, f64, f64)> {
+    const BY: [f64; 3] = [-1.0, -1.0, 1.0];
+    let of = |x: [f64; 3]| -> f64 { x.iter().zip(&OF_UNITS).map(|(x, c)| (x / c.1).powi(2)).sum() };
+    let weight = |i: usize| OF_UNITS[i].1.powi(-2);
+    let g = (0..3).map(|i| weight(i) * BY[i] * x[i]).sum::<f64>() / (0..3).map(weight).sum::<f64>();
+    let left: [f64; 3] = std::array::from_fn(|i| x[i] - BY[i] * g);
+    let (plain, warm, gain) = (of(x), of([0.0, x[1], x[2]]), of(left));
+    let is_warm = x[0] > 0.0 && plain - warm > TOGETHER;
+    let all_better = (0..3).all(|i| left[i].abs() <= x[i].abs().max(OF_UNITS[i].1));
+    let is_gain = plain - gain > TOGETHER && all_better;
+    let (behind, after, other, is_other) = if is_gain && (!is_warm || gain < warm) {
+        (Behind::Gain(g), gain, warm, is_warm)
+    } else if is_warm {
+        (Behind::Warm(x[0]), warm, gain, is_gain)
+    } else {
+        return None;
+    };
+    Some((behind, is_other && other - after < APART, plain, after))
+}
+
+/// What the constants say together.
 fn together(m: &Material, model: &Fit) -> Option<Beside> {
-    let disturbing = |t: &crate::search::fit::Term| {
+    // effects that a resistance or an inertia gives way to
+    let disturbing = |t: &Term| {
         matches!(
             t.kind,
             EffectKind::DeadTime | EffectKind::TurnShort | EffectKind::Compliance | EffectKind::Backlash
@@ -371,58 +396,84 @@ fn together(m: &Material, model: &Fit) -> Option<Beside> {
     if m.held.is_none() || model.terms.iter().any(disturbing) {
         return None;
     }
+    // over what the type's file says: the middle of the prior is there
     let off = |name: &str| -> Option<f64> {
-        let place = m.nuisances.iter().position(|n| n.name == name)?;
-        let n = &m.nuisances[place];
-        // over what the type's file says: the middle of the prior is there
-        Some(((1.0 + model.nuisance[place]) / (1.0 + n.centre)).ln())
+        let (n, x) = m.nuisances.iter().zip(&model.nuisance).find(|(n, _)| n.name == name)?;
+        Some(((1.0 + x) / (1.0 + n.centre)).ln()).filter(|x| x.is_finite())
     };
-    let x: Vec<f64> = OF_UNITS.iter().map(|c| off(c.0)).collect::<Option<_>>()?;
-    let of = |x: &[f64]| -> f64 { x.iter().zip(&OF_UNITS).map(|(x, c)| (x / c.1).powi(2)).sum() };
-    let by = [-1.0, -1.0, 1.0];
-    // x = g (-1, -1, 1), weighted
-    let weight = |i: usize| OF_UNITS[i].1.powi(-2);
-    let total: f64 = (0..3).map(weight).sum();
-    let g = (0..3).map(|i| weight(i) * by[i] * x[i]).sum::<f64>() / total;
-    let left: Vec<f64> = (0..3).map(|i| x[i] - by[i] * g).collect();
-    let (plain, warm, gain) = (of(&x), of(&[0.0, x[1], x[2]]), of(&left));
-    debug("together", x[0], x[1], plain, warm);
-    debug("  gain", g, total.recip().sqrt(), plain, gain);
-    let all_better = (0..3).all(|i| left[i].abs() <= x[i].abs().max(OF_UNITS[i].1));
-    let warmth = x[0].exp_m1() / COPPER_PER_K;
-    let is_warm = x[0] > 0.0 && plain - warm > TOGETHER;
-    let is_gain = plain - gain > TOGETHER && all_better;
+    let [r, l, j] = OF_UNITS.map(|c| off(c.0));
+    let (behind, either, before, after) = explained([r?, l?, j?])?;
     let seen = ("constants against those of the type, in their standard deviations", "-");
-    let rms = |after: f64| (plain.sqrt(), after.sqrt());
-    let other = |kind: EffectKind, own: f64, other: f64, is: bool| {
-        if is && other - own < APART {
-            vec![kind]
-        } else {
-            Vec::new()
-        }
+    let rms = (before.sqrt(), after.sqrt());
+    let weights = OF_UNITS.iter().map(|c| c.1.powi(-2)).sum::<f64>();
+    let (kind, other, value, sd, factors) = match behind {
+        Behind::Gain(g) => (
+            EffectKind::CurrentGain,
+            EffectKind::WindingHeating,
+            g.exp_m1(),
+            g.exp() / weights.sqrt(),
+            [
+                ("resistance", g),
+                ("inductance", g),
+                ("inertia", -g),
+                ("coulomb", -g),
+                ("viscous", -g),
+            ]
+            .map(|(name, g)| (name, g.exp()))
+            .to_vec(),
+        ),
+        Behind::Warm(x) => (
+            EffectKind::WindingHeating,
+            EffectKind::CurrentGain,
+            x.exp_m1() / COPPER_PER_K,
+            OF_UNITS[0].1 * x.exp() / COPPER_PER_K,
+            vec![("resistance", (-x).exp())],
+        ),
     };
-    if is_gain && (!is_warm || gain < warm) {
-        let sd = g.exp() * total.recip().sqrt();
-        let b = found(EffectKind::CurrentGain, (g.exp_m1(), sd), seen, rms(gain));
-        return Some(Beside {
-            ambiguous: other(EffectKind::WindingHeating, gain, warm, is_warm),
-            factors: vec![
-                ("resistance", g.exp()),
-                ("inductance", g.exp()),
-                ("inertia", (-g).exp()),
-                ("coulomb", (-g).exp()),
-                ("viscous", (-g).exp()),
-            ],
-            ..b
-        });
-    }
-    is_warm.then(|| {
-        let sd = OF_UNITS[0].1 * x[0].exp() / COPPER_PER_K;
-        let b = found(EffectKind::WindingHeating, (warmth, sd), seen, rms(warm));
-        Beside {
-            ambiguous: other(EffectKind::CurrentGain, warm, gain, is_gain),
-            factors: vec![("resistance", (-x[0]).exp())],
-            ..b
-        }
+    Some(Beside {
+        ambiguous: if either { vec![other] } else { Vec::new() },
+        factors,
+        ..found(kind, (value, sd), seen, rms)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jackknife_knows_the_scatter_of_its_parts() {
+        let part = |x: f64, y: f64| Sums {
+            xx: x * x,
+            xy: x * y,
+            yy: y * y,
+            rows: 1.0,
+        };
+        let parts = [part(1.0, 2.1), part(2.0, 4.0), part(1.0, 1.9), part(2.0, 4.0)];
+        let (value, sd) = jackknife(&parts).unwrap();
+        assert!((value - 2.0).abs() < 1e-12 && sd > 0.005 && sd < 0.05, "{value} {sd}");
+        assert!(jackknife(&parts[..2]).is_none());
+        let all = parts.iter().fold(Sums::default(), |a, b| a.plus(b));
+        assert!(all.rms(2.0) < 0.08 && all.rms(0.0) > 3.0);
+    }
+
+    #[test]
+    fn constants_that_are_off_together_have_one_cause() {
+        assert_eq!(explained([0.0, 0.0, 0.0]), None);
+        // within what units of a type differ
+        assert_eq!(explained([0.04, -0.02, 0.08]), None);
+        // a winding 50 K warmer
+        let warm = (50.0 * COPPER_PER_K).ln_1p();
+        let (behind, either, _, after) = explained([warm, 0.01, -0.03]).unwrap();
+        assert_eq!((behind, either), (Behind::Warm(warm), false));
+        assert!(after < 0.5);
+        // currents 12 % too great
+        let g = 0.12_f64.ln_1p();
+        let (behind, _, before, after) = explained([-g, -g, g]).unwrap();
+        assert!(matches!(behind, Behind::Gain(x) if (x - g).abs() < 1e-12), "{behind:?}");
+        assert!(before > 20.0 && after < 1e-9);
+        // 10 % too small looks like a warm winding with another inductance
+        let (behind, ..) = explained([-(0.9_f64.ln()), -(0.9_f64.ln()), 0.9_f64.ln()]).unwrap();
+        assert!(matches!(behind, Behind::Gain(x) if x < 0.0), "{behind:?}");
+    }
 }

@@ -46,6 +46,7 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
             K::EncoderEccentricity if !has(BenchChannel::UserPosition) && !has(BenchChannel::Velocity) => {
                 Some("no second sensor of the motion")
             }
+            K::ControlDelay if m.bench.own => Some("the band of the drive's current control hides it"),
             K::ControlDelay if m.bench.rig.controller.is_none() || !m.has(BenchChannel::Command) => {
                 Some("no command, or no law in [rig.controller]")
             }
