@@ -435,6 +435,11 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
 /// motor angle over which friction turns round [rad].
 fn dahl(s: &Signals, distance: f64) -> Vec<f64> {
     let mut z: f64 = 0.0;
+    // what is a piece of a recording begins with the bristles as the pieces before it left them
+    for w in s.before.windows(2) {
+        let way = w[1] - w[0];
+        z = way.signum() + (z - way.signum()) * (-way.abs() / distance).exp();
+    }
     let dt = 1.0 / s.rate_hz;
     s.omega
         .iter()

@@ -5,7 +5,7 @@ use crate::equations::floors::floors;
 use crate::equations::mechanics::{Mechanics, mechanics};
 use crate::equations::nuisances::{Nuisance, SENSOR_OFFSET_OF_RANGE};
 use crate::equations::pieces::{Column, Piece};
-use crate::equations::signals::{Clock, NoiseTable, SUPPLY, Signals};
+use crate::equations::signals::{self, Clock, NoiseTable, SUPPLY, Signals};
 use crate::equations::whitener::Rows;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
@@ -100,7 +100,13 @@ impl Problem {
         nuisances: &[Nuisance],
         excess: (f64, f64),
     ) -> Self {
-        let signals: Vec<Signals> = runs.iter().map(|r| Signals::new(bench, r, clock)).collect();
+        let signals: Vec<Signals> = runs
+            .iter()
+            .map(|r| Signals {
+                before: signals::before(r, all),
+                ..Signals::new(bench, r, clock)
+            })
+            .collect();
         let bank = clock.common();
         let reach = bank.half();
         // the kernel has given up all weight that matters within half its reach

@@ -94,6 +94,8 @@ pub struct Signals {
     pub law: Option<(Vec<f64>, Vec<bool>)>,
     /// angle that angles are counted from [rad]
     pub rest: f64,
+    /// angle as measured in the pieces of the same recording that end where this one begins [rad]
+    pub before: Vec<f64>,
 }
 
 /// Place of the supply among the phases' equations.
@@ -353,9 +355,34 @@ impl Signals {
             command: None,
             law: None,
             rest: 0.0,
+            before: Vec::new(),
             omega,
         }
     }
+}
+
+/// Most pieces before one that are looked back at (assumed).
+const LOOKED_BACK: usize = 3;
+
+/// The angle in the pieces of the same recording that end where a run begins, the oldest first [rad].
+///
+/// * `all` runs of all roles
+pub fn before(run: &Run, all: &[&Run]) -> Vec<f64> {
+    let mut out = Vec::new();
+    let mut first = run;
+    for _ in 0..LOOKED_BACK {
+        let ends = |r: &&&Run| {
+            let (last, next) = (r.rows.last(), first.rows.first());
+            r.hash == run.hash && r.labels == run.labels && last.zip(next).is_some_and(|(l, n)| l + 1 == *n)
+        };
+        let Some(earlier) = all.iter().find(ends) else { break };
+        let Some(x) = earlier.channel(BenchChannel::Position) else {
+            break;
+        };
+        out.splice(0..0, x.iter().copied());
+        first = earlier;
+    }
+    out
 }
 
 fn lateness(mean: bool, rate_hz: f64, delay_s: f64) -> f64 {
@@ -463,6 +490,7 @@ impl Signals {
             velocity: at(BenchChannel::Velocity),
             command,
             law,
+            before: Vec::new(),
         };
         if let Some(p) = out.phases.take_if(|p| p.encoder != (0.0, 0.0)) {
             out.drive = p.drive(&out);
