@@ -32,10 +32,12 @@ struct Judged {
     deviations: Vec<Deviation>,
 }
 
-fn hidden<'a>(name: &str, parameters: impl Iterator<Item = (&'a str, f64)>) -> Hidden {
+fn hidden<'a>(name: &str, parameters: impl Iterator<Item = (&'a str, f64)>, phases: bool) -> Hidden {
+    // the actuator's generator has the dead time of one leg, the study that of the two that conduct
+    let legs = if phases && name == "dead_time" { 2.0 } else { 1.0 };
     Hidden {
         name: name.into(),
-        parameters: parameters.map(|(k, v)| (k.into(), v)).collect(),
+        parameters: parameters.map(|(k, v)| (k.into(), legs * v)).collect(),
         comparable: true,
     }
 }
@@ -46,7 +48,8 @@ fn made(options: &Options, folder: &Path, case: u64) -> Result<(Vec<PathBuf>, Tr
     if options.bed.as_deref() == Some("servo") {
         let class = second::class_for(&options.class, options.effect.as_deref(), case as usize, seed)?;
         let key = second::make(folder, &class, options.strength, seed)?;
-        let of = |(name, p): &(String, Vec<(String, f64)>)| hidden(name, p.iter().map(|(k, v)| (k.as_str(), *v)));
+        let of =
+            |(name, p): &(String, Vec<(String, f64)>)| hidden(name, p.iter().map(|(k, v)| (k.as_str(), *v)), false);
         let truth = Truth {
             hidden: key.hidden.iter().map(of).collect(),
             constants: key.constants.into_iter().collect(),
@@ -66,7 +69,7 @@ fn made(options: &Options, folder: &Path, case: u64) -> Result<(Vec<PathBuf>, Tr
         hidden: key
             .effect
             .iter()
-            .map(|e| hidden(e.name, e.parameters.iter().copied()))
+            .map(|e| hidden(e.name, e.parameters.iter().copied(), true))
             .collect(),
         // the study's resistance and inductance are of two phases in series
         constants: key

@@ -128,7 +128,17 @@ pub fn bench(ema: &Path, dir: &Path, units: usize, tests: usize, seed: u64) -> R
             )
             .write_csv(Path::new(&test))?;
             let (_, d, _) = run(ema, &cache, &["diagnose", &test, "--unit", &file, "--json"])?;
-            own.push(judged(&d, faults));
+            let t = judged(&d, faults);
+            if !t.inside {
+                let of = |f: &str| ["lo", "estimate", "hi"].map(|k| d[f][k].as_f64().unwrap_or(f64::NAN));
+                eprintln!(
+                    "  {} at {faults:?}: fsj {:?}, zeta {:?}",
+                    t.outcome,
+                    of("fsj"),
+                    of("zeta")
+                );
+            }
+            own.push(t);
         }
         let mut own_above = 0;
         for n in 0..3 {

@@ -59,16 +59,17 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
         0.5 * c.effect.torque_constant,
     );
     Some(match kind {
+        // the second column is the first a quarter of a turn later, as [`super::columns::effect`] takes it
         EffectKind::Eccentricity => {
             let at = |q: usize, theta: f64| theta + TAU / 3.0 * q as f64;
             vec![
                 phased(s, p, c, |q, t| at(q, t).cos()),
-                phased(s, p, c, |q, t| -at(q, t).sin()),
+                phased(s, p, c, |q, t| at(q, t).sin()),
             ]
         }
         EffectKind::TorqueRipple => vec![
             phased(s, p, c, |_, t| (shape[0] * t).cos()),
-            phased(s, p, c, |_, t| -(shape[0] * t).sin()),
+            phased(s, p, c, |_, t| (shape[0] * t).sin()),
         ],
         EffectKind::TurnShort => {
             let short = shape[0] as usize;

@@ -318,6 +318,7 @@ mod tests {
             velocity: None,
             command: Some((0..N).map(command).collect()),
             law: None,
+            before: Vec::new(),
             rest: 0.0,
         }
     }

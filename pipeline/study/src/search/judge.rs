@@ -7,7 +7,7 @@ use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
-use crate::search::verdict::{SLOW_S, SLOWLY, rough_energy};
+use crate::search::verdict::{SLOW_S, SLOWLY, WORTH, rough_energy};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_worker::effect::{EffectKind, Equation};
@@ -19,6 +19,8 @@ pub(super) const LEAST_GAIN: f64 = 12.0;
 /// Smallest share of the excess over the noise of some equation that an effect must explain: one that explains
 /// less is the nearest relative of something else (assumed).
 const LEAST_PART: f64 = 0.30;
+/// Smallest share of the transmission's excess that a spring in it must explain (assumed).
+const LEAST_BENT: f64 = 0.5;
 /// Torque of an effect over the drive's, both rms, from which it matters (assumed).
 const LEAST_TORQUE: f64 = 2e-3;
 /// Length of the pieces in which a disturbance shows by itself [s] (assumed).
@@ -146,6 +148,8 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         "too small to matter"
     } else if twice(m, model, next) {
         TWICE
+    } else if unbent(m, model, next) {
+        "the user's side does not bend as it asks"
     } else if part(m, model, next) < LEAST_PART {
         "it explains little of what is left"
     } else if !lasts() {
@@ -180,6 +184,20 @@ fn twice(m: &Material, model: &Fit, next: &Fit) -> bool {
     };
     let n = model.terms.len();
     (n..next.terms.len()).any(|i| (0..i).any(|j| same(&next.terms[i], &next.terms[j])))
+}
+
+/// Whether a new spring in the transmission leaves most of what is off there: what it adds to the torque alone may be
+/// another inertia, another friction.
+fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
+    if !next.terms[model.terms.len()..]
+        .iter()
+        .any(|t| t.kind == EffectKind::Compliance)
+    {
+        return false;
+    }
+    let e = Equation::Transmission.index();
+    let (before, after, noise) = (model.score.energy[e], next.score.energy[e], m.fit.sensor_energy(e));
+    before < WORTH * noise || before - after < LEAST_BENT * (before - noise)
 }
 
 /// Whether all that the new terms add to the torque is next to nothing beside the drive's, and to no other equation
