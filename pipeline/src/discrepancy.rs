@@ -333,7 +333,12 @@ fn notes(e: &FoundEffect, f: &Findings, hashes: &[String]) -> Vec<(String, Note)
     ];
     let score = f.leaders.iter().find(|l| l.name == e.name).map(|l| l.gain);
     notes.extend(score.map(|s| ("score".to_string(), Note::Number(s))));
-    if let Some(g) = f.gap.as_ref().map(|g| g.heldout.unwrap_or(g.fit)) {
+    // what was found beside the equations has a gap of its own
+    let beside = f.by_channel.iter().all(|c| c.channel != e.channel);
+    if let Some((before, after)) = e.heldout.filter(|_| beside) {
+        notes.push(("heldout_before".to_string(), Note::Number(before)));
+        notes.push(("heldout_after".to_string(), Note::Number(after)));
+    } else if let Some(g) = f.gap.as_ref().map(|g| g.heldout.unwrap_or(g.fit)) {
         notes.push(("heldout_before".to_string(), Note::Number(g.retuned)));
         notes.push(("heldout_after".to_string(), Note::Number(g.last)));
         notes.push(("floor".to_string(), Note::Number(g.floor)));
