@@ -1,7 +1,7 @@
 //! The usual mistakes of a bench file, looked for before anything is fitted: units, swapped columns,
 //! reversed signs, a machine that never moves. Each is told in one line with its likely cause.
 
-use crate::measured::bench::{Bench, BenchChannel, Role};
+use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{Run, extent};
 use schemas::error::{Error, Result};
@@ -63,6 +63,24 @@ fn slope(x: &[f64], y: &[f64]) -> (f64, f64) {
     (xy / xx.max(1e-300), xy / (xx * yy).sqrt().max(1e-300))
 }
 
+/// Span of a motion channel up to which a machine stands still: a few grains of its sensor.
+fn still(c: BenchChannel, spec: &ChannelSpec) -> f64 {
+    if c == BenchChannel::Position {
+        (5.0 * spec.resolution).max(1e-9)
+    } else {
+        1e-9
+    }
+}
+
+/// Whether the machine moves in a run, by its angle.
+pub fn moves(bench: &Bench, run: &Run) -> bool {
+    let c = BenchChannel::Position;
+    run.channel(c).zip(bench.channel(c)).is_none_or(|(x, spec)| {
+        let (low, high) = extent(x.iter().copied());
+        high - low > still(c, spec)
+    })
+}
+
 /// Checks all runs of a bench.
 pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
     use BenchChannel as C;
@@ -108,12 +126,7 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
         for c in [C::Position, C::Velocity] {
             if let (Some(x), Some(spec)) = (run.channel(c), bench.channel(c)) {
                 let (low, high) = range(x);
-                let still = if c == C::Position {
-                    (5.0 * spec.resolution).max(1e-9)
-                } else {
-                    1e-9
-                };
-                if high - low <= still {
+                if high - low <= still(c, spec) {
                     let found = format!("{low:e} to {high:e} over the whole run: it never moves");
                     return Err(Error::bad(file, column(c), found, "a run in which the actuator moves"));
                 }
