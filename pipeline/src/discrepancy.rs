@@ -133,11 +133,11 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
     )?;
     let names: Vec<String> = request.bench.iter().map(|b| b.display().to_string()).collect();
     let bench_file = names.join(" ");
-    let mut runs = recording::read_runs(&bench)?;
     // of a recording that was cut into pieces by us, one may stand still
-    if bench.own && runs.iter().any(|r| check::moves(&bench, r)) {
-        runs.retain(|r| check::moves(&bench, r));
-    }
+    let (moving, still): (Vec<_>, Vec<_>) = recording::read_runs(&bench)?
+        .into_iter()
+        .partition(|r| !bench.own || check::moves(&bench, r));
+    let runs = if moving.is_empty() { still } else { moving };
     if let Some(dir) = out {
         // say now, not after the study, that the folder cannot be written
         std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot be made", e))?;

@@ -2,19 +2,18 @@
 
 use super::options::Options;
 use super::parameters::{Deviation, deviations};
+use super::run;
 use super::tables::{median, rate, shown, table};
 use super::truth::{Hidden, Said};
 use crate::{independent, second};
 use anyhow::{Context, Result, anyhow, bail};
-use pipeline::discrepancy::{Request, study_file};
+use pipeline::discrepancy::Request;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
 
 /// What is true of a case.
 struct Truth {
@@ -100,14 +99,7 @@ fn one(options: &Options, case: u64, pool: &rayon::ThreadPool) -> Result<Judged>
         healthy: true,
         ..Request::default()
     };
-    let start = Instant::now();
-    let findings = catch_unwind(AssertUnwindSafe(|| pool.install(|| study_file(&request, &|_| {}))));
-    let study_s = start.elapsed().as_secs_f64();
-    let mut report = match findings {
-        Ok(Ok(f)) => f.to_json(),
-        Ok(Err(e)) => json!({ "verdict": "error", "error": format!("{e:#}") }),
-        Err(panic) => json!({ "verdict": "error", "error": format!("panic: {}", schemas::guard::words(&*panic)) }),
-    };
+    let (mut report, study_s) = run::studied(&request, pool);
     report["case"] = json!(case);
     report["study_s"] = json!(study_s);
     if options.keep {

@@ -6,6 +6,7 @@ use super::store::{Opened, Store};
 use super::truth;
 use crate::blind;
 use anyhow::{Context, Result, bail};
+use pipeline::discrepancy::Request;
 use rayon::ThreadPool;
 use serde_json::{Value, json};
 use std::collections::VecDeque;
@@ -204,28 +205,37 @@ fn one(options: &Options, plan: &Plan, case: u64, pool: &ThreadPool) -> Result<V
     let start = Instant::now();
     blind::case(seed, &plan.spec()).write(&dir, &keys)?;
     let generate_s = start.elapsed().as_secs_f64();
-    let start = Instant::now();
     let bench = dir.join("BENCH.toml");
-    let request = pipeline::discrepancy::Request::of(&model(), &bench);
-    let study = || pipeline::discrepancy::study_file(&request, &|_| {});
-    let findings = catch_unwind(AssertUnwindSafe(|| pool.install(study)));
-    let study_s = start.elapsed().as_secs_f64();
+    let request = Request::of(&model(), &bench);
+    let (report, study_s) = studied(&request, pool);
     if !options.keep {
         std::fs::remove_dir_all(&dir)?;
     }
-    let mut line = match findings {
-        Ok(Ok(f)) => kept(&f.to_json()),
-        Ok(Err(e)) => json!({ "verdict": "error", "error": format!("{e:#}") }),
-        Err(panic) => {
-            let said = schemas::guard::words(&*panic);
-            json!({ "verdict": "error", "error": format!("panic: {said}") })
-        }
+    let mut line = if report["error"].is_null() {
+        kept(&report)
+    } else {
+        report
     };
     line["case"] = json!(case);
     line["seed"] = json!(seed);
     line["generate_s"] = json!(generate_s);
     line["study_s"] = json!(study_s);
     Ok(line)
+}
+
+/// A study's report, or its error in place of one; and how long it took [s].
+pub(super) fn studied(request: &Request, pool: &ThreadPool) -> (Value, f64) {
+    let start = Instant::now();
+    let study = || pipeline::discrepancy::study_file(request, &|_| {});
+    let findings = catch_unwind(AssertUnwindSafe(|| pool.install(study)));
+    let study_s = start.elapsed().as_secs_f64();
+    let error = |text: String| json!({ "verdict": "error", "error": text });
+    let report = match findings {
+        Ok(Ok(f)) => f.to_json(),
+        Ok(Err(e)) => error(format!("{e:#}")),
+        Err(panic) => error(format!("panic: {}", schemas::guard::words(&*panic))),
+    };
+    (report, study_s)
 }
 
 /// What of a report is needed to score it, now or by other rules later.

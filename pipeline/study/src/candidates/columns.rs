@@ -3,7 +3,7 @@
 
 use crate::candidates::phases::of_phases;
 use crate::equations::pieces::{Column, Piece, RigConstants};
-use crate::equations::signals::{Signals, shifted};
+use crate::equations::signals::{Signals, rate_of, shifted};
 use sim_worker::effect::{self, Effect, EffectKind, Equation};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -178,12 +178,7 @@ fn encoder(s: &Signals, c: &RigConstants, both: bool, f: fn(f64) -> f64) -> Colu
     };
     add(Equation::Kinematic, 0, times(1.0));
     if both {
-        let last = s.n - 1;
-        let rate = |k: usize| {
-            let (a, b) = (k.saturating_sub(1), (k + 1).min(last));
-            (error[b] - error[a]) * s.rate_hz / (b - a) as f64
-        };
-        add(Equation::Kinematic, 1, (0..s.n).map(rate).collect());
+        add(Equation::Kinematic, 1, rate_of(&error, s.rate_hz).collect());
     }
     if (c.from_position || both) && s.voltage.is_some() {
         add(Equation::Electrical, 1, times(-c.back_emf));
@@ -351,7 +346,8 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         // without a second sensor the noise of the motion would drive the column
         EffectKind::Compliance if s.user.is_none() => {}
         EffectKind::Compliance => {
-            let moved = |load: &[f64]| two_mass(s, shape[0], shape[1], shape[2], load);
+            let start = released(s);
+            let moved = |load: &[f64]| two_mass(s, [shape[0], shape[1], shape[2]], start, load);
             // the load's inertia follows its own speed rather than the motor's
             let pieces = |(deflection, slip): (Vec<f64>, Vec<f64>)| -> Column {
                 let piece = |equation, order, signal| Piece {
@@ -513,13 +509,19 @@ fn released(s: &Signals) -> (f64, f64) {
     (level - middle * slope, slope * s.rate_hz)
 }
 
-/// The load mass on its spring, driven by the motor's measured motion and a torque against it [N m]: angle [rad] and speed [rad/s] of
-/// the load less the motor's.
-fn two_mass(s: &Signals, stiffness: f64, damping: f64, inertia: f64, load: &[f64]) -> (Vec<f64>, Vec<f64>) {
+/// The load mass on its spring, driven by the motor's measured motion and a torque against it [N m]: angle [rad] and
+/// speed [rad/s] of the load less the motor's.
+///
+/// * `x0`, `w0` the same at the start
+fn two_mass(
+    s: &Signals,
+    [stiffness, damping, inertia]: [f64; 3],
+    (x0, w0): (f64, f64),
+    load: &[f64],
+) -> (Vec<f64>, Vec<f64>) {
     let natural = (stiffness / inertia.max(1e-12)).sqrt();
     let substeps = (natural / s.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
     let dt = 1.0 / (s.rate_hz * substeps as f64);
-    let (x0, w0) = released(s);
     let (mut x, mut w) = (s.theta[0] + x0, s.omega[0] + w0);
     let (mut deflection, mut slip) = (Vec::with_capacity(s.n), Vec::with_capacity(s.n));
     for k in 0..s.n {

@@ -100,7 +100,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             // what a link with a capacitor draws by its power, or what the legs carry where nothing levels it
             let draw = |k: usize| {
                 if shape.first().is_some_and(|s| *s > 0.5) {
-                    return 0.5 * (0..3).map(|q| p.current[q][k].abs()).sum::<f64>();
+                    return p.size(k);
                 }
                 (0..3).map(|q| v[q][k] * p.current[q][k]).sum::<f64>() / dc[k].max(1.0)
             };

@@ -49,7 +49,7 @@ pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
         measured_current: rig.drive == BenchChannel::Current,
         motor: matches!(rig.drive, BenchChannel::Current | BenchChannel::Voltage),
         from_position: clock.from_position,
-        encoder: (0.0, 0.0),
+        encoder: rig.encoder,
         speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
     }
 }

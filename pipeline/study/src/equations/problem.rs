@@ -471,10 +471,7 @@ impl Problem {
             if let Some(x) = sum(Equation::Torque, 1) {
                 // the mean of a derivative is the difference of the ends
                 let t = torque.get_or_insert_with(|| vec![0.0; s.n]);
-                for k in 0..s.n {
-                    let (a, b) = (k.saturating_sub(1), (k + 1).min(s.n - 1));
-                    t[k] += (x[b] - x[a]) * rate / (b - a).max(1) as f64;
-                }
+                t.iter_mut().zip(signals::rate_of(&x, rate)).for_each(|(t, r)| *t += r);
             }
             let (angle, speed) = (sum(Equation::Kinematic, 0), sum(Equation::Kinematic, 1));
             if torque.is_some() || angle.is_some() || speed.is_some() {

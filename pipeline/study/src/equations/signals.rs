@@ -155,6 +155,11 @@ impl Phases {
         s.omega[k] * (at(s.theta[k] + NEAR) - at(s.theta[k] - NEAR)) / (2.0 * NEAR)
     }
 
+    /// Size of the current that two phases carry, whatever its sign [A].
+    pub fn size(&self, k: usize) -> f64 {
+        0.5 * (0..3).map(|q| self.current[q][k].abs()).sum::<f64>()
+    }
+
     /// Current that acts on the torque, by the true angle.
     fn drive(&self, s: &Signals) -> Vec<f64> {
         let mut out = vec![0.0; s.n];
@@ -187,6 +192,14 @@ impl Phases {
             })
             .collect()
     }
+}
+
+/// Derivative of a signal by its neighbours [1/s], one-sided at the ends.
+pub fn rate_of(x: &[f64], rate_hz: f64) -> impl Iterator<Item = f64> {
+    (0..x.len()).map(move |k| {
+        let (a, b) = (k.saturating_sub(1), (k + 1).min(x.len() - 1));
+        (x[b] - x[a]) * rate_hz / (b - a).max(1) as f64
+    })
 }
 
 /// Straight interpolation of `x` at `shift` samples later.

@@ -4,10 +4,10 @@
 //! the held-out ones.
 
 use crate::equations::problem::Problem;
-use crate::equations::signals::Signals;
+use crate::equations::signals::{Phases, Signals};
 use crate::measured::bench::{BenchChannel, Role};
 use crate::measured::recording::Run;
-use crate::search::fit::{Fit, Term};
+use crate::search::fit::{self, Fit, Term};
 use crate::search::select::Material;
 use sim_worker::effect::{COPPER_PER_K, EffectKind, NORMAL_95, conducting};
 
@@ -68,6 +68,10 @@ impl Sums {
         }
     }
 
+    fn all<'a>(parts: impl IntoIterator<Item = &'a Self>) -> Self {
+        parts.into_iter().fold(Self::default(), Self::plus)
+    }
+
     /// rms of what is left with a value.
     fn rms(&self, value: f64) -> f64 {
         ((self.yy - 2.0 * value * self.xy + value * value * self.xx).max(0.0) / self.rows.max(1.0)).sqrt()
@@ -76,7 +80,7 @@ impl Sums {
 
 /// Value and standard deviation (jackknife over runs) of `y = value x`.
 fn jackknife(parts: &[Sums]) -> Option<(f64, f64)> {
-    let all = parts.iter().fold(Sums::default(), |a, b| a.plus(b));
+    let all = Sums::all(parts);
     let used: Vec<&Sums> = parts.iter().filter(|p| p.xx > 1e-4 * all.xx).collect();
     if used.len() < 3 || all.xx <= 0.0 {
         return None;
@@ -116,6 +120,8 @@ pub fn beside(m: &Material, model: &Fit) -> Vec<Beside> {
         .into_iter()
         .flatten()
         .chain(together(m, model))
+        // what the equations have told already is not told twice
+        .filter(|b| !model.terms.iter().any(|t| t.kind == b.kind))
         .collect()
 }
 
@@ -144,41 +150,47 @@ fn holds(value: f64, sd: f64, least: f64, before: f64, after: f64) -> bool {
     value.abs() > CERTAIN * sd && value.abs() > least && after * after < (1.0 - LEAST_SHARE) * before * before
 }
 
-/// Squared gap of the phase currents to the pattern that a commutation off by `angle` asks for, and number of values.
-fn pattern_gap(m: &Material, s: &Signals, angle: f64) -> (f64, f64) {
-    let Some(p) = &s.phases else { return (0.0, 0.0) };
-    let clear = CLEAR * noise_of(m, BenchChannel::CurrentA).max(1e-9);
-    let (mut sum, mut count) = (0.0, 0.0);
-    for k in (1..s.n.saturating_sub(1)).step_by(3) {
-        let i: [f64; 3] = std::array::from_fn(|q| p.current[q][k]);
-        let size = |k: usize| 0.5 * (0..3).map(|q| p.current[q][k].abs()).sum::<f64>();
-        let sweep = s.omega[k] / s.rate_hz;
-        let steady = (size(k + 1) - size(k - 1)).abs() < 0.4 * size(k);
-        if size(k) < clear || !steady || (sweep * p.pole_pairs).abs() > MOST_SWEEP || s.stepping[k] {
-            continue;
-        }
+/// A run's samples that show which phase conducts: currents clear of their noise and hardly changing, a short way.
+fn clear<'a>(m: &Material, s: &'a Signals) -> Option<(&'a Signals, &'a Phases, Vec<usize>)> {
+    let p = s.phases.as_ref()?;
+    let least = CLEAR * noise_of(m, BenchChannel::CurrentA).max(1e-9);
+    let shows = |k: &usize| {
+        let (k, size) = (*k, p.size(*k));
+        let steady = (p.size(k + 1) - p.size(k - 1)).abs() < 0.4 * size;
+        let sweep = s.omega[k] / s.rate_hz * p.pole_pairs;
+        size >= least && steady && sweep.abs() <= MOST_SWEEP && !s.stepping[k]
+    };
+    let all = (1..s.n.saturating_sub(1)).step_by(3);
+    Some((s, p, all.filter(shows).collect()))
+}
+
+/// Squared gap of the phase currents to the pattern that a commutation off by `angle` asks for, over that of the currents
+/// themselves, so that all speeds count alike; summed over the samples of a run.
+fn pattern_gap((s, p, samples): &(&Signals, &Phases, Vec<usize>), angle: f64) -> f64 {
+    let of = |k: &usize| {
+        let i: [f64; 3] = std::array::from_fn(|q| p.current[q][*k]);
+        let sweep = s.omega[*k] / s.rate_hz;
         let mut shape = [0.0; 3];
         for j in 0..6 {
-            let theta = s.theta[k] + sweep * ((j as f64 + 0.5) / 6.0 - 0.5) + angle / p.pole_pairs;
+            let theta = s.theta[*k] + sweep * ((j as f64 + 0.5) / 6.0 - 0.5) + angle / p.pole_pairs;
             let on = conducting(theta, p.pole_pairs);
             (0..3).for_each(|q| shape[q] += on[q] / 6.0);
         }
         let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (ii, ir, rr) = (dot(&i, &i), dot(&i, &shape), dot(&shape, &shape));
-        // by the current's own size, so that all speeds count alike
-        sum += (ii - ir * ir / rr.max(1e-12)).max(0.0) / ii;
-        count += 1.0;
-    }
-    (sum, count)
+        (ii - ir * ir / rr.max(1e-12)).max(0.0) / ii
+    };
+    samples.iter().map(of).sum()
 }
 
 /// The drive's angle: which phase conducts where.
 fn commutation(m: &Material, [find, prove]: Both) -> Option<Beside> {
     const STEP: f64 = 0.05;
     let grid: Vec<f64> = (-20..=20).map(|j| STEP * f64::from(j)).collect();
+    let [find, prove] = [find, prove].map(|runs| runs.iter().filter_map(|(_, s)| clear(m, s)).collect::<Vec<_>>());
     let costs: Vec<Vec<f64>> = find
         .iter()
-        .map(|(_, s)| grid.iter().map(|a| pattern_gap(m, s, *a).0).collect())
+        .map(|run| grid.iter().map(|a| pattern_gap(run, *a)).collect())
         .collect();
     // the least of a parabola through the least and its neighbours
     let least = |without: Option<usize>| -> Option<f64> {
@@ -203,13 +215,8 @@ fn commutation(m: &Material, [find, prove]: Both) -> Option<Beside> {
     }
     // the pattern's edges are known to a part of the way in a sample
     let sd = scatter(without.into_iter(), value).max(LEAST_ANGLE / CERTAIN / 2.0);
-    let rms = |angle: f64| {
-        let (sum, count) = prove
-            .iter()
-            .map(|(_, s)| pattern_gap(m, s, angle))
-            .fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
-        (sum / f64::max(count, 1.0)).sqrt()
-    };
+    let count = prove.iter().map(|run| run.2.len()).sum::<usize>().max(1) as f64;
+    let rms = |angle: f64| (prove.iter().map(|run| pattern_gap(run, angle)).sum::<f64>() / count).sqrt();
     let (before, after) = (rms(0.0), rms(value));
     let seen = (
         "phase currents against the pattern of their angle, over the current",
@@ -239,12 +246,9 @@ fn offset(m: &Material, [find, prove]: Both) -> Option<Beside> {
             })
         })
     };
-    let parts: Vec<Sums> = find.iter().map(|(_, s)| sums(s)).collect();
-    let (value, sd) = jackknife(&parts)?;
-    let proof = prove
-        .iter()
-        .map(|(_, s)| sums(s))
-        .fold(Sums::default(), |a, b| a.plus(&b));
+    let of = |runs: &[(&Run, &Signals)]| -> Vec<Sums> { runs.iter().map(|(_, s)| sums(s)).collect() };
+    let (value, sd) = jackknife(&of(find))?;
+    let proof = Sums::all(&of(prove));
     let (before, after) = (proof.rms(0.0), proof.rms(value));
     // of which the sensors' usual ones are a part
     let sd = sd.hypot(believed);
@@ -256,10 +260,7 @@ fn offset(m: &Material, [find, prove]: Both) -> Option<Beside> {
 /// Stretches of strong current: what they give to the motion beside what the flux makes of them. `y = x - coefficient z`,
 /// impulses over the stretch, each over its own uncertainty. And the greatest current.
 fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64) {
-    let constant = |name: &str| {
-        let of = m.nuisances.iter().zip(&model.nuisance).find(|(n, _)| n.name == name);
-        of.map_or(0.0, |(n, x)| n.nominal * (1.0 + x))
-    };
+    let constant = |name: &str| fit::constant(&m.nuisances, model, name);
     let (Some(p), Some(w)) = (&s.phases, run.channel(BenchChannel::Velocity)) else {
         return (Vec::new(), 0.0);
     };
@@ -271,7 +272,6 @@ fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64)
     );
     let dt = 1.0 / s.rate_hz;
     let shapes: [Vec<f64>; 3] = std::array::from_fn(|q| p.mean_over_support(s, q, |_, trap| trap));
-    let size = |k: usize| 0.5 * (0..3).map(|q| p.current[q][k].abs()).sum::<f64>();
     let mut out = Vec::new();
     let mut greatest: f64 = 0.0;
     let mut k = 2;
@@ -293,7 +293,7 @@ fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64)
             }
             let speed = 0.5 * (w[k] + w[k - 1]);
             taken += dt * (c * speed + f * speed.signum());
-            greatest = greatest.max(size(k));
+            greatest = greatest.max(p.size(k));
         }
         taken += j * (w[k - 1] - w[from - 1]);
         // where it turns round friction is not known
@@ -333,7 +333,7 @@ fn saturation(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> 
         all.map(|(_, s)| *s).collect()
     };
     let (value, sd) = jackknife(&of(false))?;
-    let proof = of(true).iter().fold(Sums::default(), |a, b| a.plus(b));
+    let proof = Sums::all(&of(true));
     let (before, after) = (proof.rms(0.0), proof.rms(value));
     let seen = (
         "impulses of strong currents against what the flux makes of them, over their uncertainty",
@@ -398,7 +398,7 @@ fn together(m: &Material, model: &Fit) -> Option<Beside> {
     }
     // over what the type's file says: the middle of the prior is there
     let off = |name: &str| -> Option<f64> {
-        let (n, x) = m.nuisances.iter().zip(&model.nuisance).find(|(n, _)| n.name == name)?;
+        let (n, x) = fit::deviation(&m.nuisances, model, name)?;
         Some(((1.0 + x) / (1.0 + n.centre)).ln()).filter(|x| x.is_finite())
     };
     let [r, l, j] = OF_UNITS.map(|c| off(c.0));
@@ -453,7 +453,7 @@ mod tests {
         let (value, sd) = jackknife(&parts).unwrap();
         assert!((value - 2.0).abs() < 1e-12 && sd > 0.005 && sd < 0.05, "{value} {sd}");
         assert!(jackknife(&parts[..2]).is_none());
-        let all = parts.iter().fold(Sums::default(), |a, b| a.plus(b));
+        let all = Sums::all(&parts);
         assert!(all.rms(2.0) < 0.08 && all.rms(0.0) > 3.0);
     }
 

@@ -76,10 +76,9 @@ impl Machine {
     /// * `nuisances` those that the deviations of `fit` are relative to
     fn of(o: &Outcome, nuisances: &[Nuisance], fit: &Fit) -> Self {
         let m = &o.material;
-        let find = |name: &str| nuisances.iter().zip(&fit.nuisance).find(|(n, _)| n.name == name);
-        let value = |name: &str| find(name).map_or(0.0, |(n, x)| n.nominal * (1.0 + x));
+        let value = |name: &str| fit::constant(nuisances, fit, name);
         // torques were fitted in units of the torque constant
-        let scale = find("torque_constant").map_or(1.0, |(_, x)| 1.0 + x);
+        let scale = fit::deviation(nuisances, fit, "torque_constant").map_or(1.0, |(_, x)| 1.0 + x);
         let effect = |t| {
             let mut e = fit::effect_of(t, &m.constants, &m.fit);
             if intervals::is_torque(e.kind) {

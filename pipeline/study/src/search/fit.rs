@@ -110,6 +110,17 @@ pub struct Fit {
     pub sigma: [f64; 5],
 }
 
+/// A nuisance parameter by its name, and its relative deviation in a fit.
+pub fn deviation<'a>(nuisances: &'a [Nuisance], fit: &Fit, name: &str) -> Option<(&'a Nuisance, f64)> {
+    let mut all = nuisances.iter().zip(&fit.nuisance);
+    all.find(|(n, _)| n.name == name).map(|(n, x)| (n, *x))
+}
+
+/// A constant of the machine as a fit has it, 0 where there is none.
+pub fn constant(nuisances: &[Nuisance], fit: &Fit, name: &str) -> f64 {
+    deviation(nuisances, fit, name).map_or(0.0, |(n, x)| n.nominal * (1.0 + x))
+}
+
 /// The model's regressors on a problem.
 pub fn regressors(p: &Problem, terms: &[Term], c: &RigConstants) -> Vec<Regressor> {
     terms
@@ -130,13 +141,15 @@ pub fn assembled<'a>(p: &Problem, regressors: &'a [Regressor]) -> (Vec<f64>, Vec
 /// Solves for nuisance parameters and amplitudes of terms whose shapes are given; the standard
 /// deviations of the equations are those of the residuals, in three rounds.
 pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Term], sigma0: [f64; 5]) -> Fit {
-    let loose = terms.iter().any(|t| t.kind == EffectKind::Compliance);
-    let mut freed = nuisances.to_vec();
+    let mut freed;
+    let mut nuisances = nuisances;
     // whether what is said of the inertia is with the load on its spring or without it, nobody knows
-    if loose && let Some(n) = freed.iter_mut().find(|n| n.name == "inertia") {
-        n.trust = n.trust.map(|t| t.max(1.0));
+    if terms.iter().any(|t| t.kind == EffectKind::Compliance) {
+        freed = nuisances.to_vec();
+        let inertia = freed.iter_mut().filter(|n| n.name == "inertia");
+        inertia.for_each(|n| n.trust = n.trust.map(|t| t.max(1.0)));
+        nuisances = &freed;
     }
-    let nuisances = &freed[..];
     let mut fit = solve_freely(p, c, nuisances, terms, sigma0);
     // a sensor is as good as it is, a constant about what it is said to be: what goes further is not their error
     let mut held = nuisances.to_vec();

@@ -69,7 +69,7 @@ impl Material {
         let nuisances = nuisances::nuisances(&bench, &runs, &noise, &equations);
         let swing = signals::swing(&bench, &runs);
         let runs = Arc::new(runs);
-        let m = Self::set_up(bench, runs, noise, nuisances, known.to_vec(), (0.0, 0.0), (0.0, 0.0));
+        let m = Self::set_up(bench, runs, noise, nuisances, known.to_vec(), (0.0, 0.0));
         let mut m = m.on_time(&[]);
         // the mean over a sample of a drive that is read at points is as uncertain as it swings between them, but
         // it may be held between them: the data say
@@ -78,12 +78,7 @@ impl Material {
             let between = m.fit.unresolved(&base.residual).min(swing);
             if between > 0.0 {
                 m = m
-                    .again(
-                        m.bench.clone(),
-                        m.nuisances.clone(),
-                        m.constants.encoder,
-                        (0.0, between),
-                    )
+                    .again(m.bench.clone(), m.nuisances.clone(), (0.0, between))
                     .on_time(&[]);
             }
         }
@@ -91,9 +86,9 @@ impl Material {
     }
 
     /// Set up again with another bench, other nuisances, other torque noise.
-    fn again(&self, bench: Bench, nuisances: Vec<Nuisance>, encoder: (f64, f64), excess: (f64, f64)) -> Self {
+    fn again(&self, bench: Bench, nuisances: Vec<Nuisance>, excess: (f64, f64)) -> Self {
         let (runs, noise, known) = (self.runs.clone(), self.noise.clone(), self.known.clone());
-        let next = Self::set_up(bench, runs, noise, nuisances, known, encoder, excess);
+        let next = Self::set_up(bench, runs, noise, nuisances, known, excess);
         Self {
             said: self.said.clone(),
             ..next
@@ -153,7 +148,7 @@ impl Material {
             if !moved {
                 break;
             }
-            let next = m.again(bench, m.nuisances.clone(), m.constants.encoder, m.excess);
+            let next = m.again(bench, m.nuisances.clone(), m.excess);
             let again = next.solve(terms, next.first_sigma());
             let gain = again.score.log_likelihood - tied.score.log_likelihood;
             // what is far beyond the noise is no noise, and any shift takes a little of it
@@ -179,21 +174,18 @@ impl Material {
     }
 
     fn set_up(
-        mut bench: Bench,
+        bench: Bench,
         runs: Arc<Vec<Run>>,
         noise: NoiseTable,
         nuisances: Vec<Nuisance>,
         known: Vec<Effect>,
-        encoder: (f64, f64),
         excess: (f64, f64),
     ) -> Self {
-        bench.rig.encoder = encoder;
         let of = |role: &[Role]| -> Vec<&Run> { runs.iter().filter(|r| role.contains(&r.role)).collect() };
         let used = of(&[Role::Fit, Role::Select, Role::HeldOut]);
         let clock = Clock::new(&bench, &used, &noise);
         let equations = nuisances::equations(&bench, &used);
-        let mut constants = nuisances::constants(&bench, &clock);
-        constants.encoder = encoder;
+        let constants = nuisances::constants(&bench, &clock);
         let build = |runs: &[&Run]| Problem::new(&bench, runs, &used, &clock, &noise, &equations, &nuisances, excess);
         let mut fit = build(&of(&[Role::Fit, Role::Select]));
         let held = of(&[Role::HeldOut]);
@@ -291,9 +283,11 @@ impl Material {
             }
         }
         let sensor = fit.terms.iter().find(|t| t.kind == EffectKind::EncoderEccentricity);
-        let encoder = sensor.map_or(self.constants.encoder, |t| (t.amplitudes[0], t.amplitudes[1]));
+        if let Some(t) = sensor {
+            bench.rig.encoder = (t.amplitudes[0], t.amplitudes[1]);
+        }
         let excess = self.fit.excess_left(&fit.score.energy);
-        self.again(bench, nuisances, encoder, (excess, self.excess.1))
+        self.again(bench, nuisances, (excess, self.excess.1))
     }
 
     /// Standard deviations to begin with: what is left when only constants are re-tuned.

@@ -53,9 +53,7 @@ impl Verdict {
             Self::Candidate => "candidate",
         }
     }
-}
 
-impl Verdict {
     /// With what was found beside the equations, each proven by itself.
     pub fn beside(self, found: &[Beside]) -> Self {
         let apart = found.iter().all(|b| b.ambiguous.is_empty());

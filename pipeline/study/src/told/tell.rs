@@ -320,10 +320,7 @@ fn findings_of(f: &Findings) -> Vec<Finding> {
 
 /// kt of the fit over the kt that the equations stand around.
 fn torque_scale(m: &Material, fit: &Fit) -> f64 {
-    m.nuisances
-        .iter()
-        .position(|n| n.name == "torque_constant")
-        .map_or(1.0, |k| 1.0 + fit.nuisance[k])
+    fit::deviation(&m.nuisances, fit, "torque_constant").map_or(1.0, |(_, x)| 1.0 + x)
 }
 
 fn gaps(o: &Outcome) -> Vec<ChannelGap> {
@@ -625,9 +622,10 @@ fn sentence(o: &Outcome, f: &Findings) -> String {
             format!("{} went from {} to {}", b.seen_in, of(b.before), of(b.after))
         })
         .collect();
-    let gap = match beside.is_empty() {
-        true => gap,
-        false => format!("{} on {held} data; {gap}", beside.join("; ")),
+    let gap = if beside.is_empty() {
+        gap
+    } else {
+        format!("{} on {held} data; {gap}", beside.join("; "))
     };
     let names: Vec<String> = f
         .effects
