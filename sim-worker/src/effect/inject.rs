@@ -321,7 +321,14 @@ impl<const N: usize> LaneEffects<N> {
     pub fn push(&mut self, p: &ActuatorParameters, f: FaultState, rest: f64, load: f64) {
         let l = self.lanes.len();
         let u = Units::new(p);
-        let own = Injection::new(p, f.fsj, rest, load, p.step_s).filter(|_| Injection::needs_kernel(p));
+        let mut own = Injection::new(p, f.fsj, rest, load, p.step_s).filter(|_| Injection::needs_kernel(p));
+        if let Some(e) = &mut own
+            && let Some(b) = &mut e.bristles
+        {
+            // the step is explicit: a damping that would turn the motion round within it ends the motion
+            let inertia = p.inertia_kg_m2 - e.behind.as_ref().map_or(0.0, |b| b.inertia);
+            b.damping = b.damping.min(inertia / p.step_s);
+        }
         self.dt = p.step_s;
         self.felt.bus = (p.step_s / BUS_S).min(1.0);
         self.units.push(u);

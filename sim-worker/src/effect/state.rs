@@ -7,8 +7,10 @@ use crate::plant::backlash;
 /// Corporation TOR-0158 (1968), exponent 1, with the damping of Canudas de Wit, Olsson, Astrom and
 /// Lischinsky, IEEE Trans. Automatic Control 40 (1995):
 ///
-/// `dz/dt = w (1 - sgn(w) z/z_max)`, `z_max = level/stiffness`,
-/// `F = stiffness z + damping dz/dt`, limited to plus and minus `level`.
+/// `dz/dt = w (1 - sgn(w) z/z_max)`, `z_max = level/stiffness`, `F = stiffness z + damping dz/dt`.
+///
+/// The bend keeps within plus and minus `z_max`; the damping comes on top of it, so that after a
+/// reversal of soft bristles the friction may exceed `level`, as the sources have it.
 #[derive(Clone, Debug)]
 pub struct Dahl {
     /// [N m/rad]
@@ -51,7 +53,7 @@ impl Dahl {
         // -expm1 keeps the small bends of small steps
         self.z = z + (end - z) * -(-(omega * dt).abs() / most).exp_m1();
         let rate = omega * (1.0 - self.z / end);
-        (self.stiffness * self.z + self.damping * rate).clamp(-self.level, self.level)
+        self.stiffness * self.z + self.damping * rate
     }
 
     /// Friction at rest [N m] and its slope [N m s/rad] over a speed of the sign of `direction`

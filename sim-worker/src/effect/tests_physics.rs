@@ -316,7 +316,7 @@ fn prop_a_late_controller_is_late() {
 
 #[test]
 fn prop_machines_keep_to_their_laws() {
-    // bristles: exact for a constant speed, whatever the step, and within the level
+    // bristles: exact for a constant speed, whatever the step, and without damping within the level
     let (mut fine, mut coarse) = (Dahl::new(10.0, 0.0, 0.02), Dahl::new(10.0, 0.0, 0.02));
     for _ in 0..1000 {
         fine.step(0.3, 1e-5);
@@ -326,6 +326,12 @@ fn prop_machines_keep_to_their_laws() {
     assert!((coarse.z - 0.002 * (1.0 - (-0.3_f64 * 1e-2 * 500.0).exp())).abs() < 1e-15);
     assert!((coarse.step(1e9, 1.0) - 0.02).abs() < 1e-12 && (coarse.step(-1e9, 1.0) + 0.02).abs() < 1e-12);
     assert_eq!(Dahl::new(10.0, 1.0, 0.0).step(3.0, 1e-3), 0.0);
+    // soft bristles that are bent back: the damping of twice the speed comes on top of the level
+    let mut soft = Dahl {
+        z: -0.4,
+        ..Dahl::new(0.05, 1e-3, 0.02)
+    };
+    assert!((soft.step(30.0, 1e-9) - (-0.02 + 1e-3 * 60.0)).abs() < 1e-8);
     // a spring without damper keeps its energy for any step, and what the shaft gives is what the mass gains
     for dt in [1e-6, 1e-4, 3e-3] {
         let mut m = TwoMass::new(50.0, 0.0, 1e-5, 0.01);
@@ -415,6 +421,7 @@ fn prop_extreme_effects_stay_finite() {
         (TightSpot, &[10.0, 0.3, 1e-9]),
         (Presliding, &[1e-9, 0.0]),
         (Presliding, &[1e12, 1e3]),
+        (Presliding, &[1e-3, 1e3]),
         (Cogging, &[3.0, -6.0, 1000.0]),
         (TorqueRipple, &[1.0, 0.0, 1000.0]),
         (Eccentricity, &[1.0, 6.0]),

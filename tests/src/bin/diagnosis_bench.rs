@@ -6,6 +6,7 @@
 //! any temperature; `--circle target/release/ema` takes actuators of another hand from study to diagnosis, as users do.
 
 use anyhow::{Context, Result};
+use clap::Parser;
 use ema_tests::coverage::defects::{self, DESIGN, JUDGED, Known};
 use ema_tests::coverage::other_hand;
 use ema_tests::coverage::{
@@ -15,6 +16,7 @@ use ema_tests::coverage::{circle, temperature, units};
 use pipeline::calibrate::{Campaign, Effort, draw_units};
 use schemas::feature::{Feature, Role};
 use std::fmt::Write;
+use std::path::PathBuf;
 
 const EFFORT: Effort = Effort {
     runs: 4096,
@@ -22,75 +24,70 @@ const EFFORT: Effort = Effort {
     seed: 0,
 };
 
+/// Coverage, widths, errors, silent misses and time of diagnoses.
+#[derive(Parser)]
 struct Options {
+    /// Grid of the maps
+    #[arg(long, default_value = "fine")]
     grid: String,
+    /// Tests; of `--circle`: faulty ones a unit, or units of `--units`
+    #[arg(long, default_value_t = 1000)]
     tests: usize,
+    /// Seed of every draw
+    #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Only the coverage of the tests
+    #[arg(long = "coverage")]
     coverage_only: bool,
-    /// tests that the slow estimator is run on, too
+    /// Tests that the slow estimator is run on, too
+    #[arg(long, default_value_t = 120)]
     refined: usize,
-    /// spread at twelve rest angles
+    /// Spread at twelve rest angles
+    #[arg(long, value_name = "SPREAD")]
     angles: Option<String>,
-    /// spread in which both pre-flight tests are compared
+    /// Spread in which both pre-flight tests are compared
+    #[arg(long, value_name = "SPREAD")]
     sequences: Option<String>,
-    /// spread of units with a history
+    /// Spread of units with a history
+    #[arg(long, value_name = "SPREAD")]
     units: Option<String>,
-    /// the program, for the whole way of actuators of another hand
-    circle: Option<std::path::PathBuf>,
-    /// spread of tests at any temperature
+    /// The program, for the whole way of actuators of another hand
+    #[arg(long, value_name = "PROGRAM")]
+    circle: Option<PathBuf>,
+    /// Of `--circle`: this effect in every unit, `none` for plain ones; as drawn without
+    #[arg(long, value_name = "NAME", requires = "circle")]
+    effect: Option<String>,
+    /// Of `--circle`: actuators
+    #[arg(long, default_value_t = 20)]
+    actuators: usize,
+    /// Of `--circle`: leave the units' files here
+    #[arg(long, value_name = "DIR", requires = "circle")]
+    keep: Option<PathBuf>,
+    /// Spread of tests at any temperature
+    #[arg(long, value_name = "SPREAD")]
     temperature: Option<String>,
-    /// which half of the defects is hidden
+    /// Which half of the defects is hidden
+    #[arg(long, value_name = "HALF", value_parser = ["design", "judged"])]
     defects: Option<String>,
-    record: Option<String>,
-}
-
-impl Options {
-    fn parse(mut args: impl Iterator<Item = String>) -> Result<Self> {
-        let mut options = Self {
-            grid: "fine".into(),
-            tests: 1000,
-            seed: 1,
-            coverage_only: false,
-            refined: 120,
-            angles: None,
-            sequences: None,
-            units: None,
-            circle: None,
-            temperature: None,
-            defects: None,
-            record: None,
-        };
-        while let Some(arg) = args.next() {
-            let mut value = || args.next().with_context(|| format!("{arg} needs a value"));
-            match arg.as_str() {
-                "--grid" => options.grid = value()?,
-                "--tests" => options.tests = value()?.parse()?,
-                "--refined" => options.refined = value()?.parse()?,
-                "--seed" => options.seed = value()?.parse()?,
-                "--angles" => options.angles = Some(value()?),
-                "--sequences" => options.sequences = Some(value()?),
-                "--units" => options.units = Some(value()?),
-                "--circle" => options.circle = Some(value()?.into()),
-                "--temperature" => options.temperature = Some(value()?),
-                "--defects" => options.defects = Some(value()?),
-                "--record" => options.record = Some(value()?),
-                "--coverage" => options.coverage_only = true,
-                _ => anyhow::bail!(
-                    "{arg}: --grid NAME, --tests N, --seed N, --refined N, --coverage, --angles SPREAD, --sequences SPREAD, \
-                     --units SPREAD, --temperature SPREAD, --defects design|judged, --circle PROGRAM, --record FILE"
-                ),
-            }
-        }
-        Ok(options)
-    }
+    /// Write the text here, too
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
 }
 
 fn main() -> Result<()> {
-    let options = Options::parse(std::env::args().skip(1))?;
+    let options = Options::parse();
     let cache = std::env::temp_dir().join(format!("ema-diagnosis-bench-{}", std::process::id()));
     let text = match (&options.angles, &options.sequences, &options.units) {
         _ if options.defects.is_some() => with_defects(&cache, &options),
-        _ if let Some(ema) = &options.circle => circle::bench(ema, &cache, options.tests, 20, options.seed),
+        _ if let Some(ema) = &options.circle => circle::bench(&circle::Plan {
+            ema,
+            dir: options.keep.as_deref().unwrap_or(&cache),
+            keep: options.keep.is_some(),
+            units: options.actuators,
+            tests: options.tests,
+            seed: options.seed,
+            effect: options.effect.as_deref(),
+        }),
         _ if let Some(spread) = &options.temperature => {
             temperature::bench(&cache, &options.grid, spread, EFFORT, (options.tests, options.seed))
         }
@@ -102,7 +99,7 @@ fn main() -> Result<()> {
     let _ = std::fs::remove_dir_all(&cache);
     let text = text?;
     if let Some(path) = &options.record {
-        std::fs::write(path, &text).with_context(|| path.clone())?;
+        std::fs::write(path, &text).with_context(|| path.display().to_string())?;
     }
     print!("{text}");
     Ok(())

@@ -55,13 +55,49 @@ fn judged(d: &Value, (fsj, zeta): (f64, f64)) -> Test {
     }
 }
 
-/// The way of `units` actuators, every other one with an effect; `tests` faulty tests of each.
+/// What is to be run.
+pub struct Plan<'a> {
+    /// the program
+    pub ema: &'a Path,
+    /// where the units' files are written
+    pub dir: &'a Path,
+    /// whether they stay there
+    pub keep: bool,
+    pub units: usize,
+    /// faulty tests of each unit
+    pub tests: usize,
+    pub seed: u64,
+    /// hidden in every unit, `none` for nothing; without it one is drawn for every other unit
+    pub effect: Option<&'a str>,
+}
+
+/// The way of `plan.units` actuators.
 ///
-/// * `ema` the program
-pub fn bench(ema: &Path, dir: &Path, units: usize, tests: usize, seed: u64) -> Result<String> {
+/// # Errors
+/// An effect that nobody knows; files that cannot be written; a program that does not run.
+pub fn bench(plan: &Plan<'_>) -> Result<String> {
+    let &Plan {
+        ema,
+        dir,
+        units,
+        tests,
+        seed,
+        ..
+    } = plan;
+    let asked = match plan.effect {
+        None | Some("none") => None,
+        Some(name) => {
+            let known = EFFECTS.iter().find(|e| **e == name);
+            Some(*known.with_context(|| format!("effect `{name}`; allowed are none, {}", EFFECTS.join(", ")))?)
+        }
+    };
+    let hidden = match (plan.effect, asked) {
+        (None, _) => "every other one with one effect at full strength".to_string(),
+        (_, None) => "no effect in any".to_string(),
+        (_, Some(e)) => format!("every one with `{e}` at full strength"),
+    };
     let mut out = format!(
-        "## Actuators of another hand: one study, three healthy tests, {tests} faulty ones\n\n{units} units, constants off by up to 10 %, every \
-         other one with one effect at full strength; simulator, sensors, draws and effects are another hand's. Truth inside both 95 % \
+        "## Actuators of another hand: one study, three healthy tests, {tests} faulty ones\n\n{units} units, constants off by up to 10 %, {hidden}; simulator, sensors, draws and effects are another hand's. Truth inside both 95 % \
          intervals.\n\n| unit | hidden | study | healthy tests taken | inside % | not located | width FSJ %, median | width zeta | healthy \
          tests above FSJ {HEALTHY} |\n|---|---|---|---|---|---|---|---|---|\n"
     );
@@ -70,7 +106,10 @@ pub fn bench(ema: &Path, dir: &Path, units: usize, tests: usize, seed: u64) -> R
     for k in 0..units {
         let own_seed = seed.wrapping_mul(1000) + k as u64;
         let mut rng = ChaCha8Rng::seed_from_u64(own_seed);
-        let effect = (k % 2 == 1).then(|| EFFECTS[rng.random_range(0..EFFECTS.len())]);
+        let effect = match plan.effect {
+            None => (k % 2 == 1).then(|| EFFECTS[rng.random_range(0..EFFECTS.len())]),
+            Some(_) => asked,
+        };
         let folder = dir.join(format!("unit-{k}"));
         independent::make_unit(&folder, effect, 1.0, own_seed)?;
         let unit = Unit::drawn(own_seed, effect, 1.0).map_err(|e| anyhow!(e))?;
@@ -176,7 +215,9 @@ pub fn bench(ema: &Path, dir: &Path, units: usize, tests: usize, seed: u64) -> R
         eprint!("{line}");
         out += &line;
         all.extend(own);
-        std::fs::remove_dir_all(&folder)?;
+        if !plan.keep {
+            std::fs::remove_dir_all(&folder)?;
+        }
     }
     let located = || all.iter().filter(|t| t.outcome == "located");
     let off = |by: f64| {
