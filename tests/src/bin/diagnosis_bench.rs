@@ -1,9 +1,5 @@
-//! `cargo run --release -p ema-tests --bin diagnosis-bench -- [--grid NAME] [--tests N] [--seed N] [--refined N] [--coverage] [--record OUT.md]`:
-//! coverage, widths, errors, silent misses and time of diagnoses, on tests that maps and calibration have
-//! not seen. Takes some minutes; `--coverage` ends after the coverage. `--angles none` (or another spread) gives the coverage at twelve
-//! rest angles instead, calibrated as on first use and as `ema calibrate` does; `--sequences SPREAD` compares both pre-flight tests; `--units
-//! unit` (or another spread) follows units with a history; `--defects design` or `judged` hides half of the defects; `--temperature service` tests at
-//! any temperature; `--circle target/release/ema` takes actuators of another hand from study to diagnosis, as users do.
+//! `cargo run --release -p ema-tests --bin diagnosis-bench -- --help`: coverage, widths, errors, silent misses and time of
+//! diagnoses. Without options some minutes of tests that maps and calibration have not seen.
 
 use anyhow::{Context, Result};
 use clap::Parser;
@@ -24,7 +20,7 @@ const EFFORT: Effort = Effort {
     seed: 0,
 };
 
-/// Coverage, widths, errors, silent misses and time of diagnoses.
+/// Coverage, widths, errors, silent misses and time of diagnoses, on tests that maps and calibration have not seen; or one of the other benches.
 #[derive(Parser)]
 struct Options {
     /// Grid of the maps
@@ -36,34 +32,34 @@ struct Options {
     /// Seed of every draw
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Only the coverage of the tests
+    /// Ends after the coverage
     #[arg(long = "coverage")]
     coverage_only: bool,
     /// Tests that the slow estimator is run on, too
     #[arg(long, default_value_t = 120)]
     refined: usize,
-    /// Spread at twelve rest angles
+    /// The coverage at twelve rest angles with this spread, calibrated as on first use and as `ema calibrate` does; or `none`
     #[arg(long, value_name = "SPREAD")]
     angles: Option<String>,
-    /// Spread in which both pre-flight tests are compared
+    /// Both pre-flight tests compared in this spread
     #[arg(long, value_name = "SPREAD")]
     sequences: Option<String>,
-    /// Spread of units with a history
+    /// Units with a history, of this spread
     #[arg(long, value_name = "SPREAD")]
     units: Option<String>,
     /// The program, for the whole way of actuators of another hand
     #[arg(long, value_name = "PROGRAM")]
     circle: Option<PathBuf>,
-    /// Of `--circle`: this effect in every unit, `none` for plain ones; as drawn without
-    #[arg(long, value_name = "NAME", requires = "circle")]
-    effect: Option<String>,
+    /// Of `--circle`: this effect in every unit, `none`, or `drawn` by the seed for every other unit
+    #[arg(long, value_name = "NAME", default_value = "drawn", requires = "circle")]
+    effect: circle::Hidden,
     /// Of `--circle`: actuators
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 20, requires = "circle")]
     actuators: usize,
     /// Of `--circle`: leave the units' files here
     #[arg(long, value_name = "DIR", requires = "circle")]
     keep: Option<PathBuf>,
-    /// Spread of tests at any temperature
+    /// Tests at any temperature, of this spread
     #[arg(long, value_name = "SPREAD")]
     temperature: Option<String>,
     /// Which half of the defects is hidden
@@ -86,7 +82,7 @@ fn main() -> Result<()> {
             units: options.actuators,
             tests: options.tests,
             seed: options.seed,
-            effect: options.effect.as_deref(),
+            hidden: options.effect,
         }),
         _ if let Some(spread) = &options.temperature => {
             temperature::bench(&cache, &options.grid, spread, EFFORT, (options.tests, options.seed))

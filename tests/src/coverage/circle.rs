@@ -10,6 +10,7 @@ use serde_json::Value;
 use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;
+use std::str::FromStr;
 
 /// Rate of the recordings [Hz] and their length [s].
 const RATE_HZ: f64 = 2000.0;
@@ -67,37 +68,55 @@ pub struct Plan<'a> {
     /// faulty tests of each unit
     pub tests: usize,
     pub seed: u64,
-    /// hidden in every unit, `none` for nothing; without it one is drawn for every other unit
-    pub effect: Option<&'a str>,
+    pub hidden: Hidden,
+}
+
+/// What the units hide.
+#[derive(Clone, Copy)]
+pub enum Hidden {
+    /// nothing in every other unit, one effect that the seed draws in those between
+    Drawn,
+    /// the same in every unit, or nothing in any
+    Every(Option<&'static str>),
+}
+
+impl FromStr for Hidden {
+    type Err = String;
+
+    fn from_str(s: &str) -> Result<Self, String> {
+        match s {
+            "drawn" => Ok(Self::Drawn),
+            "none" => Ok(Self::Every(None)),
+            name => match EFFECTS.iter().find(|e| **e == name) {
+                Some(known) => Ok(Self::Every(Some(known))),
+                None => Err(format!("allowed are drawn, none, {}", EFFECTS.join(", "))),
+            },
+        }
+    }
 }
 
 /// The way of `plan.units` actuators.
 ///
 /// # Errors
-/// An effect that nobody knows; files that cannot be written; a program that does not run.
+/// Files that cannot be written; a program that does not run.
 pub fn bench(plan: &Plan<'_>) -> Result<String> {
     let &Plan {
         ema,
         dir,
+        keep,
         units,
         tests,
         seed,
-        ..
+        hidden,
     } = plan;
-    let asked = match plan.effect {
-        None | Some("none") => None,
-        Some(name) => {
-            let known = EFFECTS.iter().find(|e| **e == name);
-            Some(*known.with_context(|| format!("effect `{name}`; allowed are none, {}", EFFECTS.join(", ")))?)
-        }
-    };
-    let hidden = match (plan.effect, asked) {
-        (None, _) => "every other one with one effect at full strength".to_string(),
-        (_, None) => "no effect in any".to_string(),
-        (_, Some(e)) => format!("every one with `{e}` at full strength"),
+    let told = match hidden {
+        Hidden::Drawn => "every other one with one effect at full strength".to_string(),
+        Hidden::Every(None) => "no effect in any".to_string(),
+        Hidden::Every(Some(effect)) => format!("every one with `{effect}` at full strength"),
     };
     let mut out = format!(
-        "## Actuators of another hand: one study, three healthy tests, {tests} faulty ones\n\n{units} units, constants off by up to 10 %, {hidden}; simulator, sensors, draws and effects are another hand's. Truth inside both 95 % \
+        "## Actuators of another hand: one study, three healthy tests, {tests} faulty ones\n\n{units} units, constants off by up to 10 %, \
+         {told}; simulator, sensors, draws and effects are another hand's. Truth inside both 95 % \
          intervals.\n\n| unit | hidden | study | healthy tests taken | inside % | not located | width FSJ %, median | width zeta | healthy \
          tests above FSJ {HEALTHY} |\n|---|---|---|---|---|---|---|---|---|\n"
     );
@@ -106,9 +125,9 @@ pub fn bench(plan: &Plan<'_>) -> Result<String> {
     for k in 0..units {
         let own_seed = seed.wrapping_mul(1000) + k as u64;
         let mut rng = ChaCha8Rng::seed_from_u64(own_seed);
-        let effect = match plan.effect {
-            None => (k % 2 == 1).then(|| EFFECTS[rng.random_range(0..EFFECTS.len())]),
-            Some(_) => asked,
+        let effect = match hidden {
+            Hidden::Drawn => (k % 2 == 1).then(|| EFFECTS[rng.random_range(0..EFFECTS.len())]),
+            Hidden::Every(effect) => effect,
         };
         let folder = dir.join(format!("unit-{k}"));
         independent::make_unit(&folder, effect, 1.0, own_seed)?;
@@ -215,7 +234,7 @@ pub fn bench(plan: &Plan<'_>) -> Result<String> {
         eprint!("{line}");
         out += &line;
         all.extend(own);
-        if !plan.keep {
+        if !keep {
             std::fs::remove_dir_all(&folder)?;
         }
     }
