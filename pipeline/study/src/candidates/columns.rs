@@ -3,7 +3,7 @@
 
 use crate::candidates::phases::of_phases;
 use crate::equations::pieces::{Column, Piece, RigConstants};
-use crate::equations::signals::{Signals, rate_of, shifted};
+use crate::equations::signals::{SUPPLY, Signals, rate_of, shifted};
 use sim_worker::effect::{self, Effect, EffectKind, Equation};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -61,7 +61,8 @@ fn moments<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = effe
             .temperature
             .as_ref()
             .map_or(effect::REFERENCE_TEMPERATURE_DEGC, |t| t[k]),
-        duty: s.voltage.as_ref().map_or(0.0, |v| v[k]) / s.supply.as_ref().map_or(c.supply_voltage, |v| v[k].max(1e-3)),
+        // what is asked for is the duty of the supply at rest
+        duty: s.voltage.as_ref().map_or(0.0, |v| v[k]) / c.supply_voltage.max(1e-3),
     })
 }
 
@@ -213,16 +214,9 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         EffectKind::LoadDependentFriction if !s.has_load => {}
         EffectKind::TemperatureDependentFriction if s.temperature.is_none() => {}
         EffectKind::WindingHeating if s.temperature.is_none() => {
-            // amplitude 1: a kelvin at the end of a run, by time or by the losses
+            // amplitude 1: a kelvin at the warmest of a run, by time or by the losses
             if s.voltage.is_some() && c.measured_current {
-                let mut sum = 0.0;
-                let mut warmth: Vec<f64> = (0..s.n)
-                    .map(|k| {
-                        sum += if shape[0] < 1.5 { 1.0 } else { s.drive[k] * s.drive[k] };
-                        sum
-                    })
-                    .collect();
-                warmth.iter_mut().for_each(|w| *w /= sum.max(1e-300));
+                let warmth = warmth(s, shape[0] > 1.5, shape.get(1).copied().unwrap_or(1e3));
                 let signal = (0..s.n).map(|k| c.effect.resistance * effect::COPPER_PER_K * warmth[k] * s.drive[k]);
                 out.linear.push(vec![Piece {
                     equation: Equation::Electrical,
@@ -246,6 +240,42 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
                     signal: signal.collect(),
                     phase: None,
                 }]);
+            }
+        }
+        EffectKind::DeadTime => {
+            if s.voltage.is_some() && c.measured_current {
+                // how sharply it turns over with the current depends on the bridge and the ripple
+                let signal = s.drive.iter().map(|i| (i / shape[0]).tanh()).collect();
+                out.linear.push(vec![Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal,
+                    phase: None,
+                }]);
+            }
+        }
+        EffectKind::SupplySag => {
+            // the voltage as it was asked for, of a supply that gives way
+            let mut column = Column::new();
+            if shape[0] > 0.5 {
+                column.extend(amplitude(&[1.0]));
+            }
+            if let (true, Some(dc), Some(v)) = (shape[0] < 1.5, &s.supply, &s.voltage) {
+                // drawn by the duty; what was asked for is the duty of the supply at rest
+                let asked = shape[0] > 0.5;
+                let draw = |k: usize| {
+                    let whole = if asked { c.supply_voltage } else { dc[k] };
+                    v[k] / whole.max(1e-3) * s.drive[k]
+                };
+                column.push(Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: (0..s.n).map(|k| -draw(k)).collect(),
+                    phase: Some(SUPPLY),
+                });
+            }
+            if !column.is_empty() {
+                out.linear.push(column);
             }
         }
         EffectKind::EncoderEccentricity => {
@@ -427,6 +457,24 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
     out
 }
 
+/// Rise of a winding over its greatest in a run, by the time or by the losses, that comes to rest with a time constant of
+/// `share` of the run.
+fn warmth(s: &Signals, by_losses: bool, share: f64) -> Vec<f64> {
+    let step = 1.0 / (share * s.n as f64).max(1.0);
+    let mut rise = 0.0;
+    let mut all: Vec<f64> = s
+        .drive
+        .iter()
+        .map(|i| {
+            rise += step * (if by_losses { i * i } else { 1.0 } - rise);
+            rise
+        })
+        .collect();
+    let most = all.iter().fold(1e-300, |a: f64, x| a.max(*x));
+    all.iter_mut().for_each(|x| *x /= most);
+    all
+}
+
 /// Dahl's bristle deflection over its greatest, driven by the measured motion; `distance` is the
 /// motor angle over which friction turns round [rad].
 fn dahl(s: &Signals, distance: f64) -> Vec<f64> {
@@ -570,7 +618,7 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Amplitude if e.kind == EffectKind::CurrentGain => (vec![], vec![v[0] / (1.0 + v[0])]),
         Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
-        Form::Amplitude if e.kind == EffectKind::SupplySag => (vec![0.0], vec![v[0]]),
+        Form::Amplitude if e.kind == EffectKind::SupplySag => (vec![2.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::DeadTime => (vec![0.05], vec![v[0]]),
         Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
         Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {

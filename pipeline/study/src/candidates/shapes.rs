@@ -101,11 +101,26 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         EffectKind::EncoderEccentricity if runs.iter().all(|r| r.velocity.is_some()) => one(vec![0.0, 1.0]),
         EffectKind::EncoderEccentricity => one(vec![0.0]),
         EffectKind::SupplySag if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0]),
+        // the supply is measured, and the voltage of the winding as it is or as it was asked for; or the latter alone
+        EffectKind::SupplySag if runs.iter().all(|r| r.supply.is_some()) => one(vec![0.0, 1.0]),
+        EffectKind::SupplySag => one(vec![2.0]),
         EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => one(log(0.02, 0.16, 4)),
+        // of the current of nine samples in ten
+        EffectKind::DeadTime => {
+            let mut sizes: Vec<f64> = all(|s| &s.drive).map(f64::abs).collect();
+            let order = sizes.len() * 9 / 10;
+            let usual = *sizes.select_nth_unstable_by(order, f64::total_cmp).1;
+            one(log((0.003 * usual).max(1e-9), (0.3 * usual).max(2e-9), 5))
+        }
         EffectKind::CurrentOffset if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0, 2.0]),
         EffectKind::CurrentOffset => one(vec![0.0]),
         EffectKind::WindingHeating if runs.iter().all(|r| r.temperature.is_some()) => one(vec![0.0]),
-        EffectKind::WindingHeating => one(vec![1.0, 2.0]),
+        EffectKind::WindingHeating if runs.iter().all(|r| r.phases.is_some()) => one(vec![1.0]),
+        EffectKind::WindingHeating => {
+            let slow = [1.0, 2.0].map(|by| vec![by, 1e3]);
+            let quick = [1.0, 2.0].iter().flat_map(|&by| [0.2, 0.6].map(|t| vec![by, t]));
+            slow.into_iter().chain(quick).collect()
+        }
         EffectKind::ControlDelay => one(log(0.2 / runs[0].rate_hz, 40.0 / runs[0].rate_hz, 10)),
         _ => vec![vec![]],
     }
@@ -205,9 +220,8 @@ fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
         EffectKind::CommutationOffset => &[LIN, None],
         EffectKind::Compliance => &[LOG, LOG, LOG],
-        EffectKind::TurnShort | EffectKind::WindingHeating | EffectKind::CurrentOffset | EffectKind::SupplySag => {
-            &[None]
-        }
+        EffectKind::TurnShort | EffectKind::CurrentOffset | EffectKind::SupplySag => &[None],
+        EffectKind::WindingHeating => &[None, LOG],
         EffectKind::DeadTime => &[LOG],
         _ => &[],
     }
@@ -230,12 +244,16 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
+        EffectKind::WindingHeating => vec![(0.0, 2.0), (0.02, 1e3)],
         EffectKind::TurnShort
-        | EffectKind::WindingHeating
         | EffectKind::CurrentOffset
         | EffectKind::EncoderEccentricity
         | EffectKind::SupplySag => vec![(0.0, 2.0)],
-        EffectKind::DeadTime => vec![(0.005, 0.5)],
+        EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => vec![(0.005, 0.5)],
+        EffectKind::DeadTime => {
+            let most = runs.iter().flat_map(|r| &r.drive).fold(0.0, |a: f64, x| a.max(x.abs()));
+            vec![(1e-4 * most, 0.5 * most)]
+        }
         EffectKind::ControlDelay => vec![(1e-6, 0.5)],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => vec![(0.1, 1000.0)],
         _ => vec![],

@@ -71,6 +71,8 @@ pub struct Problem {
 /// What a supply's voltage does by itself over a row [V], at least and at most (assumed); between them, what it does from
 /// row to row says it.
 const SUPPLY_NOISE_V: (f64, f64) = (0.005, 0.02);
+/// Same of a rig, over its nominal voltage, beside what its sensor does (assumed).
+const SUPPLY_NOISE: (f64, f64) = (1e-4, 5e-3);
 /// Length of a row of the electrical equation [s], and its fewest samples (assumed): means over it leave little of
 /// the noise, and the current's change over it is known by its ends.
 const WINDOW_S: f64 = 0.006;
@@ -142,12 +144,13 @@ impl Problem {
                 } else {
                     (every.iter().copied().filter(clean).collect::<Vec<_>>(), every.len())
                 };
-                // three phases and the supply: rows of one window follow each other
+                // three phases and the supply: rows of one window follow each other; one voltage: all of the supply come after it
                 let samples = match (&s.phases, equation) {
                     (Some(p), Equation::Electrical) => {
                         let each = p.rows();
                         samples.iter().flat_map(|&k| std::iter::repeat_n(k, each)).collect()
                     }
+                    (None, Equation::Electrical) if s.supply.is_some() => samples.repeat(2),
                     _ => samples,
                 };
                 let n = samples.len();
@@ -210,7 +213,7 @@ impl Problem {
             bank,
             mechanics,
             window,
-            supply_scale: floor[Equation::Electrical.index()] / supply_noise(all, window),
+            supply_scale: floor[Equation::Electrical.index()] / supply_noise(bench, all, noise, window),
             signals,
         };
         p.fill(bench, runs, nuisances);
@@ -357,6 +360,10 @@ impl Problem {
                     for i in 0..y.len() {
                         y[i] = v[i] - (r0 * i_[i] + l0 * di[i] + ke * w[i]);
                     }
+                    let of_winding = s.of_winding(y.len());
+                    let mut column = |name: &str, values: &dyn Fn(usize) -> f64| {
+                        column(name, &|i| if i < of_winding { values(i) } else { 0.0 });
+                    };
                     column("resistance", &|i| r0 * i_[i]);
                     column("inductance", &|i| wide(l0) * di[i]);
                     column("torque_constant", &|i| ke * w[i]);
@@ -365,6 +372,14 @@ impl Problem {
                     column("voltage_clock", &|i| dv[i] * dt);
                     column("drive_offset", &|_| -r0);
                     column("drive_gain", &|i| r0 * i_[i]);
+                    if let Some(v_dc) = s.supply.as_ref().filter(|_| of_winding < y.len()) {
+                        let usual = v_dc.iter().sum::<f64>() / s.n as f64;
+                        let seen = mean(v_dc, 0);
+                        for i in of_winding..y.len() {
+                            y[i] = self.supply_scale * (seen[i] - usual);
+                        }
+                        supplies.push((block.rows.start + of_winding..block.rows.end, 1));
+                    }
                 }
                 Equation::Transmission => {
                     let (u, t) = (raw(C::UserPosition, 0), raw(C::Position, 0));
@@ -403,7 +418,7 @@ impl Problem {
         for (rows, each) in supplies {
             // the supply's own voltage
             let mut c = vec![0.0; self.rows];
-            rows.skip(SUPPLY)
+            rows.skip(if each > 1 { SUPPLY } else { 0 })
                 .step_by(each)
                 .for_each(|row| c[row] = self.supply_scale);
             self.add_local(c, None);
@@ -502,8 +517,14 @@ impl Problem {
                     continue;
                 }
                 if block.equation == Equation::Electrical {
-                    for (row, &k) in block.rows.clone().zip(&block.samples) {
-                        out[row] += over(&piece.signal, piece.order, k, self.window, rate);
+                    let of_winding = self.signals[block.run].of_winding(block.samples.len());
+                    let (range, scale) = match piece.phase {
+                        Some(SUPPLY) => (of_winding..block.samples.len(), self.supply_scale),
+                        _ => (0..of_winding, 1.0),
+                    };
+                    for i in range {
+                        let seen = over(&piece.signal, piece.order, block.samples[i], self.window, rate);
+                        out[block.rows.start + i] += scale * seen;
                     }
                     continue;
                 }
@@ -524,15 +545,23 @@ impl Problem {
         self.sensor_floor[i] = self.sensor_floor[i].max(rms);
     }
 
-    /// Covariance of a nuisance's column with the left-hand side that noise alone makes, a row of an equation.
-    pub fn shared_noise(&self, name: &str, e: usize) -> f64 {
+    /// Covariance of a nuisance's column with the left-hand side that noise alone makes, a row of an equation, in parts by the
+    /// constant in whose column the noise stands. Columns that hold the same signal share its noise: were one corrected without
+    /// the other, they would part along the direction that no data fix.
+    pub fn shared_noise(&self, name: &str, e: usize) -> [(&'static str, f64); 2] {
         let torque = self.regressor_noise[e] * self.floor[e].powi(2);
+        let (r, l) = (
+            ("resistance", -self.current_noise.0),
+            ("inductance", -self.current_noise.1),
+        );
+        const NONE: (&str, f64) = ("", 0.0);
         match (name, Equation::ALL[e]) {
-            ("inertia", Equation::Torque | Equation::Kinematic) => torque,
-            ("torque_constant" | "drive_gain", Equation::Torque | Equation::Kinematic) => -torque,
-            ("resistance", Equation::Electrical) => -self.current_noise.0,
-            ("inductance", Equation::Electrical) => -self.current_noise.1,
-            _ => 0.0,
+            ("inertia", Equation::Torque | Equation::Kinematic) => [("inertia", torque), NONE],
+            ("torque_constant" | "drive_gain", Equation::Torque | Equation::Kinematic) => [("inertia", -torque), NONE],
+            ("resistance" | "drive_gain", Equation::Electrical) => [r, NONE],
+            ("inductance", Equation::Electrical) => [l, NONE],
+            ("voltage_gain", Equation::Electrical) => [r, l],
+            _ => [NONE; 2],
         }
     }
 
@@ -584,8 +613,14 @@ impl Problem {
 }
 
 /// What the supply's voltage does from one row to the next, by the middle of its differences [V].
-fn supply_noise(runs: &[&Run], window: usize) -> f64 {
-    let (least, most) = SUPPLY_NOISE_V;
+fn supply_noise(bench: &Bench, runs: &[&Run], noise: &NoiseTable, window: usize) -> f64 {
+    let (least, most) = if bench.has_phases() {
+        SUPPLY_NOISE_V
+    } else {
+        let sensor = noise.get(&BenchChannel::VDc).map_or(0.0, |n| n.slow_rms()) / (window as f64).sqrt();
+        let of = |share: f64| (share * bench.rig.supply_voltage).hypot(sensor).max(1e-9);
+        (of(SUPPLY_NOISE.0), of(SUPPLY_NOISE.1))
+    };
     let means = |x: &[f64]| -> Vec<f64> {
         let mean = |rows: &[f64]| rows.iter().sum::<f64>() / rows.len() as f64;
         x.chunks_exact(window).map(mean).collect()

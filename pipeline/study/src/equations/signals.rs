@@ -337,6 +337,11 @@ impl Clock {
 }
 
 impl Signals {
+    /// Of the rows of an electrical equation with one voltage, those of the winding; what follows is the supply's.
+    pub fn of_winding(&self, rows: usize) -> usize {
+        if self.supply.is_some() { rows / 2 } else { rows }
+    }
+
     /// A friction map.
     fn steady(bench: &Bench, run: &Run) -> Self {
         let n = run.samples;

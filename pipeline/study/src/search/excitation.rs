@@ -43,7 +43,10 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
             }
             K::SupplySag | K::DeadTime | K::CurrentGain if !electrical => Some("no voltage beside a measured current"),
             K::Backlash if !has(BenchChannel::UserPosition) => Some("no channel `user_position`"),
-            K::EncoderEccentricity if !has(BenchChannel::UserPosition) && !has(BenchChannel::Velocity) => {
+            // the back-EMF is one, too
+            K::EncoderEccentricity
+                if !has(BenchChannel::UserPosition) && !has(BenchChannel::Velocity) && !electrical =>
+            {
                 Some("no second sensor of the motion")
             }
             K::ControlDelay if m.bench.own => Some("the band of the drive's current control hides it"),

@@ -150,6 +150,8 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
         inertia.for_each(|n| n.trust = n.trust.map(|t| t.max(1.0)));
         nuisances = &freed;
     }
+    let tied = without_law_clock(nuisances, terms.iter().map(|t| t.kind));
+    let nuisances = tied.as_deref().unwrap_or(nuisances);
     let mut fit = solve_freely(p, c, nuisances, terms, sigma0);
     // a sensor is as good as it is, a constant about what it is said to be: what goes further is not their error
     let mut held = nuisances.to_vec();
@@ -183,6 +185,16 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
         fit.score.log_likelihood += 0.5 * (disbelief(&held, &fit.nuisance) - disbelief(nuisances, &fit.nuisance));
     }
     fit
+}
+
+/// Nuisances beside a drive that is late: the law's clock would be the same delay once more.
+pub fn without_law_clock(nuisances: &[Nuisance], kinds: impl IntoIterator<Item = EffectKind>) -> Option<Vec<Nuisance>> {
+    kinds.into_iter().any(|k| k == EffectKind::ControlDelay).then(|| {
+        let mut tied = nuisances.to_vec();
+        let clock = tied.iter_mut().filter(|n| n.name == "law_clock");
+        clock.for_each(|n| n.trust = Some(1e-9));
+        tied
+    })
 }
 
 /// Most of a column's energy that may be noise for its share to be taken out of the solution (assumed).
@@ -261,6 +273,18 @@ fn disbelief(nuisances: &[Nuisance], x: &[f64]) -> f64 {
         .sum()
 }
 
+/// What noise alone makes of a nuisance's column times the left-hand side, weighted, by the constant in whose column it stands.
+/// A residual below the floor says that the noise is less than it is taken for.
+fn shared(p: &Problem, name: &str, sigma: &[f64; 5]) -> Vec<(&'static str, f64)> {
+    let of = |e: usize| {
+        let rows = p.rows_of(Equation::ALL[e]) as f64;
+        let known = sigma[e].max(p.floor[e]).powi(2);
+        p.shared_noise(name, e)
+            .map(|(owner, noise)| (owner, if rows > 0.0 { rows * noise / known } else { 0.0 }))
+    };
+    (0..5).flat_map(of).filter(|x| x.1 != 0.0).collect()
+}
+
 /// One weighted solution: coefficients and unweighted residual.
 fn weighted(
     p: &Problem,
@@ -289,15 +313,18 @@ fn weighted(
     let mut right = DVector::from_fn(n, |i, _| dot(&scaled[i], &yw) / norms[i]);
     believe(&mut gram, &mut right, p, nuisances, &norms);
     // noise that stands in the left-hand side and in a column
-    for (j, nuisance) in nuisances.iter().enumerate() {
-        let noise: f64 = (0..5)
-            .filter(|e| p.rows_of(Equation::ALL[*e]) > 0)
-            .map(|e| p.rows_of(Equation::ALL[e]) as f64 * p.shared_noise(nuisance.name, e) / sigma[e].powi(2))
-            .sum();
-        // where the noise is most of what is seen, there is nothing to be corrected
-        if noise.abs() < MOST_SHARED * norms[j] * norms[j] {
-            right[j] -= noise / norms[j];
-        }
+    let parts: Vec<Vec<(&str, f64)>> = nuisances.iter().map(|n| shared(p, n.name, sigma)).collect();
+    // where the noise is most of what is seen, there is nothing to be corrected, in any column that holds it
+    let little = |owner: &str| {
+        let of = |j: usize| parts[j].iter().filter(|x| x.0 == owner).map(|x| x.1).sum::<f64>().abs();
+        nuisances
+            .iter()
+            .position(|n| n.name == owner)
+            .is_some_and(|j| of(j) < MOST_SHARED * norms[j] * norms[j])
+    };
+    for (j, parts) in parts.iter().enumerate() {
+        let noise: f64 = parts.iter().filter(|x| little(x.0)).map(|x| x.1).sum();
+        right[j] -= noise / norms[j];
     }
     let x = gram.cholesky().map_or_else(|| DVector::zeros(n), |c| c.solve(&right));
     let x: Vec<f64> = (0..n).map(|i| x[i] / norms[i]).collect();

@@ -148,8 +148,17 @@ impl Material {
             if !moved {
                 break;
             }
-            let next = m.again(bench, m.nuisances.clone(), m.excess);
-            let again = next.solve(terms, next.first_sigma());
+            // a drive that is late by itself, or a motion that is early beside all that is electrical
+            let together = m.with_voltage(&bench);
+            let tried = [Some(bench), together].into_iter().flatten().map(|bench| {
+                let next = m.again(bench, m.nuisances.clone(), m.excess);
+                let fit = next.solve(terms, next.first_sigma());
+                (next, fit)
+            });
+            let better = |a: &(Self, Fit), b: &(Self, Fit)| {
+                a.1.score.log_likelihood.total_cmp(&b.1.score.log_likelihood)
+            };
+            let Some((next, again)) = tried.max_by(better) else { break };
             let gain = again.score.log_likelihood - tied.score.log_likelihood;
             // what is far beyond the noise is no noise, and any shift takes a little of it
             let beyond = |e: &Equation| again.score.energy[e.index()] / next.fit.sensor_energy(e.index()).max(1e-300);
@@ -160,6 +169,27 @@ impl Material {
             (m, tied) = (next, again);
         }
         m
+    }
+
+    /// The same bench, with the voltages as late as the drive became and the drive alone was not; `None` where no single
+    /// voltage was measured beside it.
+    fn with_voltage(&self, moved: &Bench) -> Option<Bench> {
+        let drive = moved.rig.drive;
+        let delay = |b: &Bench, c: BenchChannel| b.channel(c).map(|s| s.delay_s);
+        let late = delay(moved, drive)? - delay(&self.bench, drive)?;
+        if late == 0.0 || drive == BenchChannel::Voltage || self.bench.has_phases() {
+            return None;
+        }
+        let before = delay(&self.bench, BenchChannel::Voltage)?;
+        let mut bench = moved.clone();
+        for spec in &mut bench.channels {
+            match spec.channel {
+                BenchChannel::Voltage => spec.delay_s = before + late,
+                BenchChannel::VDc => spec.delay_s += late,
+                _ => {}
+            }
+        }
+        Some(bench)
     }
 
     /// Delay that the bench itself says [s].
@@ -333,7 +363,9 @@ impl Material {
                     .collect();
                 let regs: Vec<Regressor> = fit::regressors(&self.fit, &others, &self.constants);
                 let (y, further) = fit::assembled(&self.fit, &regs);
-                let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, sigma);
+                let tied = fit::without_law_clock(&self.nuisances, terms.iter().map(|t| t.kind));
+                let nuisances = tied.as_ref().unwrap_or(&self.nuisances);
+                let scan = Scan::new(&self.fit, &self.constants, nuisances, &y, &further, sigma);
                 if let Some(score) = scan.score(terms[i].kind, &terms[i].shape) {
                     terms[i] = whole(scan.refined(terms[i].kind, &terms[i].shape, &score, 60).0);
                 }
@@ -371,14 +403,22 @@ impl Material {
 /// Constants that nobody knows begin where a straight fit of the smoothed signals puts them.
 fn begin(bench: &mut Bench, runs: &[Run]) {
     let free = |k: &Known| k.value <= 0.0 && k.trust != Some(0.0);
-    let rig = &bench.rig;
-    if !(free(&rig.inertia) || free(&rig.coulomb) || free(&rig.viscous) || free(&rig.resistance)) {
-        return;
-    }
     let used: Vec<&Run> = runs
         .iter()
         .filter(|r| matches!(r.role, Role::Fit | Role::Select) && !r.steady)
         .collect();
+    let rig = &mut bench.rig;
+    if !rig.supply_voltage.is_finite() {
+        // as high as it hardly ever is: hardly loaded
+        let mut volts: Vec<f64> = used.iter().filter_map(|r| r.channel(BenchChannel::VDc)).flatten().copied().collect();
+        if !volts.is_empty() {
+            let order = volts.len() * 19 / 20;
+            rig.supply_voltage = *volts.select_nth_unstable_by(order, f64::total_cmp).1;
+        }
+    }
+    if !(free(&rig.inertia) || free(&rig.coulomb) || free(&rig.viscous) || free(&rig.resistance)) {
+        return;
+    }
     let rough = check::rough(bench, &used);
     let rig = &mut bench.rig;
     if let Some([j, b, c]) = rough {

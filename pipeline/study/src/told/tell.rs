@@ -563,6 +563,11 @@ fn assumptions(m: &Material) -> Vec<String> {
             known.join(", ")
         ));
     }
+    if let (Some((torque, voltage)), true) = (rig.one_constant, m.equations.contains(&Equation::Electrical)) {
+        out.push(format!(
+            "drive_constant ({torque:.4e}) and back_emf_constant ({voltage:.4e}) are one constant of a motor: their mean by what they are trusted"
+        ));
+    }
     for (c, late) in m.found_delays() {
         out.push(format!(
             "channel `{}`: {:.4} ms later than the bench says, found from the data",
