@@ -166,7 +166,9 @@ fn blur(e: &Effect, m: &effect::Signals, s: &Signals) -> f64 {
 ///
 /// * `both` the speed is that of the same sensor and has the error's derivative in it
 fn encoder(s: &Signals, c: &RigConstants, both: bool, f: fn(f64) -> f64) -> Column {
-    let error: Vec<f64> = s.theta.iter().map(|t| f(c.true_angle(*t))).collect();
+    // without phases the angle of the signals is the true one already
+    let at = |t: &f64| if s.phases.is_some() { c.true_angle(*t) } else { *t };
+    let error: Vec<f64> = s.theta.iter().map(|t| f(at(t))).collect();
     let times = |g: f64| -> Vec<f64> { error.iter().map(|e| g * e).collect() };
     let mut column = Vec::new();
     let mut add = |equation, order, signal| {
@@ -283,6 +285,20 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             let forms: [fn(f64) -> f64; 4] = [f64::sin, f64::cos, |t| (2.0 * t).sin(), |t| (2.0 * t).cos()];
             let both = shape.first().is_some_and(|x| *x > 0.5);
             out.linear = forms.map(|f| encoder(s, c, both, f)).into();
+            // what was found before is out of the signals' speed already
+            if c.encoder != (0.0, 0.0) && s.phases.is_none() && (c.from_position || both) && s.voltage.is_some() {
+                let (a, b) = c.encoder;
+                out.fixed.push(Piece {
+                    equation: Equation::Electrical,
+                    order: 1,
+                    signal: s
+                        .theta
+                        .iter()
+                        .map(|t| c.back_emf * (a * t.sin() + b * t.cos()))
+                        .collect(),
+                    phase: None,
+                });
+            }
         }
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
             out.linear = vec![

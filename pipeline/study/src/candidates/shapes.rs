@@ -245,10 +245,9 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
         EffectKind::WindingHeating => vec![(0.0, 2.0), (0.02, 1e3)],
-        EffectKind::TurnShort
-        | EffectKind::CurrentOffset
-        | EffectKind::EncoderEccentricity
-        | EffectKind::SupplySag => vec![(0.0, 2.0)],
+        EffectKind::TurnShort | EffectKind::CurrentOffset | EffectKind::EncoderEccentricity | EffectKind::SupplySag => {
+            vec![(0.0, 2.0)]
+        }
         EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => vec![(0.005, 0.5)],
         EffectKind::DeadTime => {
             let most = runs.iter().flat_map(|r| &r.drive).fold(0.0, |a: f64, x| a.max(x.abs()));

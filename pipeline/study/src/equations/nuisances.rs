@@ -11,10 +11,10 @@ use sim_worker::effect::{Constants, Equation};
 /// clock between channels over the sample.
 const SENSOR_GAIN: f64 = 0.006;
 const SENSOR_OFFSET: f64 = 0.1;
-/// Offset of a current sensor over the range it saw, one sigma (assumed).
+/// Offset of a sensor of current or voltage over the range it saw, one sigma (assumed).
 pub const SENSOR_OFFSET_OF_RANGE: f64 = 0.002;
 const SENSOR_CLOCK: f64 = 0.15;
-/// Offset of a voltage over its noise, one sigma (assumed): amplifiers drift more than current sensors.
+/// Least offset of a voltage over its noise, one sigma (assumed): amplifiers drift more than current sensors.
 const VOLTAGE_OFFSET: f64 = 0.4;
 /// A nuisance parameter of the whole study.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,9 +97,10 @@ pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[E
     if rig.drive == BenchChannel::Current || rig.controller.is_none() {
         out.push(sensor("drive_clock", SENSOR_CLOCK, "sample"));
     }
+    let all: Vec<&Run> = runs.iter().collect();
     let spec = bench.channel(rig.drive);
     let offset = spec.and_then(|s| s.offset).unwrap_or_else(|| {
-        let of_range = SENSOR_OFFSET_OF_RANGE * range(&runs.iter().collect::<Vec<_>>(), rig.drive);
+        let of_range = SENSOR_OFFSET_OF_RANGE * range(&all, rig.drive);
         (SENSOR_OFFSET * noise_of(rig.drive)).max(of_range)
     });
     if offset > 0.0 && !runs.iter().any(|r| r.steady) {
@@ -111,11 +112,10 @@ pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[E
         // gains of six sensors are as good as none: scale is what the machine's own constants say
         let gain = if bench.has_phases() { 1e-4 } else { SENSOR_GAIN };
         out.push(sensor("drive_gain", gain, "-"));
-        out.push(sensor(
-            "voltage_offset",
-            VOLTAGE_OFFSET * noise_of(BenchChannel::Voltage),
-            "V",
-        ));
+        let said = bench.channel(BenchChannel::Voltage).and_then(|s| s.offset);
+        let of_range = SENSOR_OFFSET_OF_RANGE * range(&all, BenchChannel::Voltage);
+        let offset = (VOLTAGE_OFFSET * noise_of(BenchChannel::Voltage)).max(of_range);
+        out.push(sensor("voltage_offset", said.unwrap_or(offset), "V"));
         out.push(sensor("voltage_gain", gain, "-"));
         out.push(sensor("voltage_clock", SENSOR_CLOCK, "sample"));
     }

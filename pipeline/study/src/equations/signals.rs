@@ -432,6 +432,25 @@ impl Signals {
             unreachable!("checked: position or velocity")
         }
         let position = at(BenchChannel::Position).unwrap_or_else(|| theta.clone());
+        let command = at(BenchChannel::Command);
+        let user = at(BenchChannel::UserPosition);
+        // the law acts on what is measured
+        let law = command
+            .as_ref()
+            .zip(bench.rig.controller.as_ref())
+            .map(|(command, law)| {
+                let position = if law.on_user {
+                    user.as_ref().unwrap_or(&theta)
+                } else {
+                    &theta
+                };
+                demanded(law, command, position, &omega, rate_hz)
+            });
+        let (mut theta, mut omega, mut accel) = (theta, omega, accel);
+        if bench.rig.encoder != (0.0, 0.0) && !bench.has_phases() {
+            let of_angle = clock.from_position || bench.rig.encoder_speed;
+            straighten(bench.rig.encoder, of_angle, &mut theta, &mut omega, &mut accel);
+        }
         let (sign, mut resting) = directions(&omega, AT_REST * clock.speed_noise, (PAUSE_S * rate_hz) as usize);
         // what lies in a gap of the clock is nothing that was measured; its neighbours are left out too, as far as the smoother reaches and until the filter has found the motion again
         for k in (0..run.lost.len()).filter(|&k| run.lost[k]) {
@@ -460,17 +479,6 @@ impl Signals {
         }
         resting.iter_mut().zip(&stepping).for_each(|(r, s)| *r |= s);
         let s = smoother(drive_channel);
-        let command = at(BenchChannel::Command);
-        let law = command.as_ref().zip(bench.rig.controller.as_ref());
-        let user = at(BenchChannel::UserPosition);
-        let law = law.map(|(command, law)| {
-            let position = if law.on_user {
-                user.as_ref().unwrap_or(&theta)
-            } else {
-                &theta
-            };
-            demanded(law, command, position, &omega, rate_hz)
-        });
         let temperature = run.channel(BenchChannel::Temperature);
         let temperature = temperature.map(|x| FilterBank::new(0.002 * rate_hz, rate_hz, 0.0).whole(0, x));
         let mut out = Self {
@@ -515,6 +523,21 @@ impl Signals {
             out.phases = Some(p);
         }
         out
+    }
+}
+
+/// Takes the error of an angle sensor that is out of centre out of an angle and, where they are `of_angle`, its derivatives.
+fn straighten(error: (f64, f64), of_angle: bool, theta: &mut [f64], omega: &mut [f64], accel: &mut [f64]) {
+    for k in 0..theta.len() {
+        let t = true_angle(error, theta[k]);
+        // measured = t + a sin t + b cos t
+        let (a, b) = error;
+        let slope = 1.0 + a * t.cos() - b * t.sin();
+        theta[k] = t;
+        if of_angle {
+            omega[k] /= slope;
+            accel[k] = (accel[k] + (a * t.sin() + b * t.cos()) * omega[k] * omega[k]) / slope;
+        }
     }
 }
 

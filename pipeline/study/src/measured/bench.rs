@@ -195,6 +195,8 @@ pub struct Rig {
     pub controller: Option<ControllerLaw>,
     /// error of the angle sensor as far as a study has found it: amplitudes of sine and cosine [rad]
     pub encoder: (f64, f64),
+    /// whether the measured speed is that of the same angle
+    pub encoder_speed: bool,
     /// what the bench file does not say and the model's file did
     pub from_model: Vec<&'static str>,
     /// what neither says, and where it begins: keys and values in SI
@@ -653,6 +655,7 @@ fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
         play: actuator.map_or(0.0, |a| a.backlash_half_width_rad * a.gear_ratio),
         controller,
         encoder: (0.0, 0.0),
+        encoder_speed: false,
         from_model,
         assumed,
     })

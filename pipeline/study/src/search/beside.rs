@@ -3,13 +3,14 @@
 //! constants say together. Of recordings of our own actuator with three phases; each by itself, on the fit runs, proven on
 //! the held-out ones.
 
+use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::equations::signals::{Phases, Signals};
 use crate::measured::bench::{BenchChannel, Role};
 use crate::measured::recording::Run;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::select::Material;
-use sim_worker::effect::{COPPER_PER_K, EffectKind, NORMAL_95, conducting};
+use sim_worker::effect::{COPPER_PER_K, EffectKind, Equation, NORMAL_95, conducting};
 
 /// An effect that was found beside the equations.
 #[derive(Clone, Debug, PartialEq)]
@@ -108,9 +109,16 @@ fn runs<'a>(m: &'a Material, p: &'a Problem, held: bool) -> Vec<(&'a Run, &'a Si
     m.runs.iter().filter(of).zip(&p.signals).collect()
 }
 
-/// What is found beside the equations; nothing where the recordings are not of an actuator of ours with phases.
-pub fn beside(m: &Material, model: &Fit) -> Vec<Beside> {
-    if !(m.bench.own && m.bench.has_phases()) {
+/// What is found beside the equations: of an actuator of ours with phases, and what the constants of a rig say together.
+///
+/// * `first` the nuisance parameters around the model's own constants
+pub fn beside(m: &Material, model: &Fit, first: &[Nuisance]) -> Vec<Beside> {
+    let apart = |b: &Beside| !model.terms.iter().any(|t| t.kind == b.kind);
+    let phases = m.bench.has_phases();
+    if !phases && m.equations.contains(&Equation::Electrical) {
+        return together(m, model, first).into_iter().filter(apart).collect();
+    }
+    if !(m.bench.own && phases) {
         return Vec::new();
     }
     let find = runs(m, &m.fit, false);
@@ -119,9 +127,9 @@ pub fn beside(m: &Material, model: &Fit) -> Vec<Beside> {
     [commutation(m, both), offset(m, both), saturation(m, model, both)]
         .into_iter()
         .flatten()
-        .chain(together(m, model))
+        .chain(together(m, model, first))
         // what the equations have told already is not told twice
-        .filter(|b| !model.terms.iter().any(|t| t.kind == b.kind))
+        .filter(apart)
         .collect()
 }
 
@@ -347,6 +355,10 @@ fn saturation(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> 
 /// (assumed); and squared standard deviations that an explanation must take.
 const OF_UNITS: [(&str, f64); 3] = [("resistance", 0.04), ("inductance", 0.03), ("inertia", 0.08)];
 const TOGETHER: f64 = 9.0;
+/// Same of a rig, whose constants are trusted as its bench says: it knows no other unit of its type (assumed).
+const TOGETHER_OF_RIG: f64 = 16.0;
+/// Constants that a rig's gain of the current changes; its inductance is known too roughly.
+const OF_RIG: [&str; 4] = ["resistance", "inertia", "coulomb", "viscous"];
 /// Squared standard deviations by which another explanation must be worse.
 const APART: f64 = 4.0;
 
@@ -359,33 +371,53 @@ enum Behind {
     Gain(f64),
 }
 
+/// A constant over what was believed of it, logarithm, and how far it may be off, one sigma.
+#[derive(Clone, Copy, Debug)]
+struct Off {
+    name: &'static str,
+    x: f64,
+    sd: f64,
+}
+
+impl Off {
+    /// Power of a current's gain that the constant shows: what is divided by a current that is too great is too small.
+    fn by(&self) -> f64 {
+        if matches!(self.name, "resistance" | "inductance") {
+            -1.0
+        } else {
+            1.0
+        }
+    }
+}
+
 /// A warm winding raises the resistance alone; a sensor that shows too much current lowers resistance and inductance and
-/// raises what has to be moved, all by one factor. What explains them, the other where it does as well, and squared
-/// standard deviations from the type's constants without it and with it.
+/// raises what has to be moved, all by one factor. What explains them with its standard deviation, whether the other does as
+/// well, and squared standard deviations from what was believed without it and with it.
 ///
-/// * `x` logarithms of the constants of [`OF_UNITS`] over those of the type
-fn explained(x: [f64; 3]) -> Option<(Behind, bool, f64, f64)> {
-    const BY: [f64; 3] = [-1.0, -1.0, 1.0];
-    let of = |x: [f64; 3]| -> f64 { x.iter().zip(&OF_UNITS).map(|(x, c)| (x / c.1).powi(2)).sum() };
-    let weight = |i: usize| OF_UNITS[i].1.powi(-2);
-    let g = (0..3).map(|i| weight(i) * BY[i] * x[i]).sum::<f64>() / (0..3).map(weight).sum::<f64>();
-    let left: [f64; 3] = std::array::from_fn(|i| x[i] - BY[i] * g);
-    let (plain, warm, gain) = (of(x), of([0.0, x[1], x[2]]), of(left));
-    let is_warm = x[0] > 0.0 && plain - warm > TOGETHER;
-    let all_better = (0..3).all(|i| left[i].abs() <= x[i].abs().max(OF_UNITS[i].1));
-    let is_gain = plain - gain > TOGETHER && all_better;
-    let (behind, after, other, is_other) = if is_gain && (!is_warm || gain < warm) {
-        (Behind::Gain(g), gain, warm, is_warm)
+/// * `least` squared standard deviations that an explanation must take
+fn explained(all: &[Off], least: f64) -> Option<(Behind, f64, bool, f64, f64)> {
+    let of = |left: &dyn Fn(&Off) -> f64| -> f64 { all.iter().map(|o| (left(o) / o.sd).powi(2)).sum() };
+    let weight = |o: &Off| o.sd.powi(-2);
+    let weights = all.iter().map(weight).sum::<f64>();
+    let g = all.iter().map(|o| weight(o) * o.by() * o.x).sum::<f64>() / weights;
+    let resistance = all.iter().find(|o| o.name == "resistance")?;
+    let left = |o: &Off| o.x - o.by() * g;
+    let (plain, gain) = (of(&|o| o.x), of(&left));
+    let warm = of(&|o| if o.name == "resistance" { 0.0 } else { o.x });
+    let is_warm = resistance.x > 0.0 && plain - warm > least;
+    let is_gain = plain - gain > least && all.iter().all(|o| left(o).abs() <= o.x.abs().max(2.0 * o.sd));
+    let (behind, sd, after, other, is_other) = if is_gain && (!is_warm || gain < warm) {
+        (Behind::Gain(g), weights.sqrt().recip(), gain, warm, is_warm)
     } else if is_warm {
-        (Behind::Warm(x[0]), warm, gain, is_gain)
+        (Behind::Warm(resistance.x), resistance.sd, warm, gain, is_gain)
     } else {
         return None;
     };
-    Some((behind, is_other && other - after < APART, plain, after))
+    Some((behind, sd, is_other && other - after < APART, plain, after))
 }
 
 /// What the constants say together.
-fn together(m: &Material, model: &Fit) -> Option<Beside> {
+pub(super) fn together(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<Beside> {
     // effects that a resistance or an inertia gives way to
     let disturbing = |t: &Term| {
         matches!(
@@ -396,22 +428,36 @@ fn together(m: &Material, model: &Fit) -> Option<Beside> {
     if m.held.is_none() || model.terms.iter().any(disturbing) {
         return None;
     }
-    // over what the type's file says: the middle of the prior is there
-    let off = |name: &str| -> Option<f64> {
-        let (n, x) = fit::deviation(&m.nuisances, model, name)?;
-        Some(((1.0 + x) / (1.0 + n.centre)).ln()).filter(|x| x.is_finite())
+    let off = |name: &'static str, sd: Option<f64>| -> Option<Off> {
+        let believed = first.iter().find(|n| n.name == name)?;
+        let sd = sd.or(believed.trust).filter(|t| *t > 0.0)?;
+        let x = (fit::constant(&m.nuisances, model, name) / believed.nominal).ln();
+        x.is_finite().then_some(Off { name, x, sd })
     };
-    let [r, l, j] = OF_UNITS.map(|c| off(c.0));
-    let (behind, either, before, after) = explained([r?, l?, j?])?;
-    let seen = ("constants against those of the type, in their standard deviations", "-");
+    let (all, least, seen) = if m.bench.has_phases() {
+        let all: Option<Vec<Off>> = OF_UNITS.iter().map(|c| off(c.0, Some(c.1))).collect();
+        (
+            all?,
+            TOGETHER,
+            "constants against those of the type, in their standard deviations",
+        )
+    } else {
+        // what is fixed or free says nothing
+        let all = OF_RIG.iter().filter_map(|name| off(name, None)).collect();
+        (
+            all,
+            TOGETHER_OF_RIG,
+            "constants against what they were trusted, in standard deviations",
+        )
+    };
+    let (behind, sd, either, before, after) = explained(&all, least)?;
     let rms = (before.sqrt(), after.sqrt());
-    let weights = OF_UNITS.iter().map(|c| c.1.powi(-2)).sum::<f64>();
     let (kind, other, value, sd, factors) = match behind {
         Behind::Gain(g) => (
             EffectKind::CurrentGain,
             EffectKind::WindingHeating,
             g.exp_m1(),
-            g.exp() / weights.sqrt(),
+            g.exp() * sd,
             [
                 ("resistance", g),
                 ("inductance", g),
@@ -426,14 +472,14 @@ fn together(m: &Material, model: &Fit) -> Option<Beside> {
             EffectKind::WindingHeating,
             EffectKind::CurrentGain,
             x.exp_m1() / COPPER_PER_K,
-            OF_UNITS[0].1 * x.exp() / COPPER_PER_K,
+            sd * x.exp() / COPPER_PER_K,
             vec![("resistance", (-x).exp())],
         ),
     };
     Some(Beside {
         ambiguous: if either { vec![other] } else { Vec::new() },
         factors,
-        ..found(kind, (value, sd), seen, rms)
+        ..found(kind, (value, sd), (seen, "-"), rms)
     })
 }
 
@@ -459,17 +505,21 @@ mod tests {
 
     #[test]
     fn constants_that_are_off_together_have_one_cause() {
-        assert_eq!(explained([0.0, 0.0, 0.0]), None);
+        let explained = |x: [f64; 3]| {
+            let of = |(c, x): (&(&'static str, f64), f64)| Off { name: c.0, x, sd: c.1 };
+            super::explained(&OF_UNITS.iter().zip(x).map(of).collect::<Vec<_>>(), TOGETHER)
+        };
+        assert!(explained([0.0, 0.0, 0.0]).is_none());
         // within what units of a type differ
-        assert_eq!(explained([0.04, -0.02, 0.08]), None);
+        assert!(explained([0.04, -0.02, 0.08]).is_none());
         // a winding 50 K warmer
         let warm = (50.0 * COPPER_PER_K).ln_1p();
-        let (behind, either, _, after) = explained([warm, 0.01, -0.03]).unwrap();
+        let (behind, _, either, _, after) = explained([warm, 0.01, -0.03]).unwrap();
         assert_eq!((behind, either), (Behind::Warm(warm), false));
         assert!(after < 0.5);
         // currents 12 % too great
         let g = 0.12_f64.ln_1p();
-        let (behind, _, before, after) = explained([-g, -g, g]).unwrap();
+        let (behind, _, _, before, after) = explained([-g, -g, g]).unwrap();
         assert!(matches!(behind, Behind::Gain(x) if (x - g).abs() < 1e-12), "{behind:?}");
         assert!(before > 20.0 && after < 1e-9);
         // 10 % too small looks like a warm winding with another inductance

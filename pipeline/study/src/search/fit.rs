@@ -103,6 +103,8 @@ pub struct Fit {
     pub terms: Vec<Term>,
     /// relative deviations of the nuisance parameters
     pub nuisance: Vec<f64>,
+    /// what was believed of them in the end: what went further than it may is held
+    pub believed: Vec<Nuisance>,
     pub score: Score,
     /// unweighted residual rows
     pub residual: Vec<f64>,
@@ -156,29 +158,32 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
     // a sensor is as good as it is, a constant about what it is said to be: what goes further is not their error
     let mut held = nuisances.to_vec();
     let mut ever = false;
-    for _ in 0..4 {
-        let mut clamped = false;
-        for ((n, n0), x) in held.iter_mut().zip(nuisances).zip(&fit.nuisance) {
+    for _ in 0..MOST_HELD {
+        let over = |i: usize| -> f64 {
+            let (n, n0) = (&held[i], &nuisances[i]);
             let most = match n.name {
-                "coulomb" | "viscous" | "offset" | "play" => continue,
+                "coulomb" | "viscous" | "offset" | "play" => return 0.0,
                 _ if n.of_machine => MOST_BELIEF,
                 _ => MOST_SIGMAS,
             };
-            if let Some(t) = n0.trust
-                && n.trust == n0.trust
-                && t > 1e-8
-                && (x - n0.centre).abs() > most * t
-            {
-                n.centre = n0.centre + most * t * (x - n0.centre).signum();
-                n.trust = Some(1e-6 * t);
-                clamped = true;
+            match n0.trust {
+                Some(t) if t > 1e-8 && n.trust == n0.trust => (fit.nuisance[i] - n0.centre).abs() / (most * t),
+                _ => 0.0,
             }
-        }
-        if !clamped {
+        };
+        // one at a time: along directions that no data fix several run away together, and come back together
+        let Some(i) = (0..held.len())
+            .max_by(|a, b| over(*a).total_cmp(&over(*b)))
+            .filter(|i| over(*i) > 1.0)
+        else {
             break;
-        }
+        };
+        let (n0, x) = (&nuisances[i], fit.nuisance[i] - nuisances[i].centre);
+        let t = n0.trust.expect("it has a belief");
+        held[i].centre = n0.centre + x / over(i);
+        held[i].trust = Some(1e-6 * t);
         ever = true;
-        fit = solve_freely(p, c, &held, terms, fit.sigma);
+        fit = solve_freely(p, c, &held, terms, sigma0);
     }
     if ever {
         // judged by the priors as they are
@@ -199,6 +204,8 @@ pub fn without_law_clock(nuisances: &[Nuisance], kinds: impl IntoIterator<Item =
 
 /// Most of a column's energy that may be noise for its share to be taken out of the solution (assumed).
 const MOST_SHARED: f64 = 0.1;
+/// Most parameters that are held at the end of their belief.
+const MOST_HELD: usize = 8;
 /// Most standard deviations that a sensor's imperfection may be off.
 const MOST_SIGMAS: f64 = 3.0;
 /// Same of a constant of the machine that a bench trusts; friction may be anything.
@@ -208,9 +215,25 @@ fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[
     let regs = regressors(p, terms, c);
     let (y, further) = assembled(p, &regs);
     let columns: Vec<&Vec<f64>> = p.base.iter().chain(&p.local).chain(further.iter().copied()).collect();
+    // columns of the measured current beside the resistance's
+    let first = p.base.len() + p.local.len();
+    let kinds = terms
+        .iter()
+        .zip(&regs)
+        .flat_map(|(t, r)| r.linear.iter().map(|_| t.kind));
+    let noisy: Vec<usize> = kinds
+        .enumerate()
+        .filter(|(_, k)| {
+            matches!(
+                k,
+                EffectKind::CurrentGain | EffectKind::WindingHeating | EffectKind::SupplySag
+            )
+        })
+        .map(|(i, _)| first + i)
+        .collect();
     let (mut sigma, mut fit) = (sigma0, None);
     for _ in 0..3 {
-        let (x, residual) = weighted(p, nuisances, &columns, &y, &sigma);
+        let (x, residual) = weighted(p, nuisances, &columns, &y, &sigma, &noisy);
         let energy = p.energy(&residual);
         let prior = disbelief(nuisances, &x);
         let count = Equation::ALL.map(|e| p.rows_of(e) as f64);
@@ -235,6 +258,7 @@ fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[
         fit = Some(Fit {
             terms,
             nuisance: x[..p.base.len()].to_vec(),
+            believed: nuisances.to_vec(),
             score,
             residual,
             sigma: used,
@@ -286,12 +310,15 @@ fn shared(p: &Problem, name: &str, sigma: &[f64; 5]) -> Vec<(&'static str, f64)>
 }
 
 /// One weighted solution: coefficients and unweighted residual.
+///
+/// * `noisy` columns beyond the nuisances' that hold the measured current as the resistance's does
 fn weighted(
     p: &Problem,
     nuisances: &[Nuisance],
     columns: &[&Vec<f64>],
     y: &[f64],
     sigma: &[f64; 5],
+    noisy: &[usize],
 ) -> (Vec<f64>, Vec<f64>) {
     let w = p.weights(sigma);
     let scaled: Vec<Vec<f64>> = columns
@@ -326,6 +353,17 @@ fn weighted(
         let noise: f64 = parts.iter().filter(|x| little(x.0)).map(|x| x.1).sum();
         right[j] -= noise / norms[j];
     }
+    if let Some(r) = nuisances
+        .iter()
+        .position(|n| n.name == "resistance")
+        .filter(|_| little("resistance"))
+    {
+        let noise: f64 = parts[r].iter().map(|x| x.1).sum();
+        for &j in noisy {
+            // by as much as it is the resistance's column once more
+            right[j] -= noise * gram[(j, r)] / norms[r];
+        }
+    }
     let x = gram.cholesky().map_or_else(|| DVector::zeros(n), |c| c.solve(&right));
     let x: Vec<f64> = (0..n).map(|i| x[i] / norms[i]).collect();
     let mut residual = y.to_vec();
@@ -338,14 +376,9 @@ fn weighted(
 /// Residual of a model, each fold of rows by the constants and amplitudes that the other folds say; shapes stay.
 ///
 /// * `fold` of each row, below `folds`
-pub fn crossed(
-    p: &Problem,
-    c: &RigConstants,
-    nuisances: &[Nuisance],
-    fit: &Fit,
-    fold: &[usize],
-    folds: usize,
-) -> Vec<f64> {
+pub fn crossed(p: &Problem, c: &RigConstants, fit: &Fit, fold: &[usize], folds: usize) -> Vec<f64> {
+    // a belief that holds a parameter of the fit holds it here
+    let nuisances = &fit.believed;
     let regs = regressors(p, &fit.terms, c);
     let (y, further) = assembled(p, &regs);
     let columns: Vec<&Vec<f64>> = p.base.iter().chain(&p.local).chain(further.iter().copied()).collect();
@@ -413,7 +446,7 @@ pub fn without_local(p: &Problem, r: Vec<f64>, sigma: &[f64; 5]) -> Vec<f64> {
         return r;
     }
     let columns: Vec<&Vec<f64>> = p.local.iter().collect();
-    weighted(p, &[], &columns, &r, sigma).1
+    weighted(p, &[], &columns, &r, sigma, &[]).1
 }
 
 /// The effect of a term, in its canonical parameters.

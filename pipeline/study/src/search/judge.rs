@@ -3,6 +3,7 @@
 use crate::candidates::shapes;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
+use crate::measured::bench::BenchChannel;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
 use crate::search::scan;
@@ -21,6 +22,10 @@ pub(super) const LEAST_GAIN: f64 = 12.0;
 const LEAST_PART: f64 = 0.30;
 /// Smallest share of the transmission's excess that a spring in it must explain (assumed).
 const LEAST_BENT: f64 = 0.5;
+/// Torque over the drive's that an angle sensor's error makes at most, over the error, and orders of the turn that it makes
+/// (assumed: a slope of the error in a torque that goes with the speed, and as much in its product with the angle).
+const ECHO: f64 = 2.0;
+const MOST_ECHOED: f64 = 2.5;
 /// Torque of an effect over the drive's, both rms, from which it matters (assumed).
 const LEAST_TORQUE: f64 = 2e-3;
 /// Length of the pieces in which a disturbance shows by itself [s] (assumed).
@@ -98,7 +103,7 @@ impl Material {
                 fold[row] = (k / length + b.run) % FOLDS;
             }
         }
-        fit::crossed(&self.fit, &self.constants, &self.nuisances, fit, &fold, FOLDS)
+        fit::crossed(&self.fit, &self.constants, fit, &fold, FOLDS)
     }
 }
 
@@ -150,6 +155,10 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         TWICE
     } else if unbent(m, model, next) {
         "the user's side does not bend as it asks"
+    } else if echoed(m, model, next) {
+        "the error of the angle sensor makes as much of other torques"
+    } else if unshown(m, model, next) {
+        "the voltage does not show it"
     } else if part(m, model, next) < LEAST_PART {
         "it explains little of what is left"
     } else if !lasts() {
@@ -198,6 +207,40 @@ fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
     let e = Equation::Transmission.index();
     let (before, after, noise) = (model.score.energy[e], next.score.energy[e], m.fit.sensor_energy(e));
     before < WORTH * noise || before - after < LEAST_BENT * (before - noise)
+}
+
+/// Whether a new torque repeats once or twice a turn beside an angle sensor that is out of centre, and is no more than its error
+/// makes of the torques that are there.
+fn echoed(m: &Material, model: &Fit, next: &Fit) -> bool {
+    let sensor = |t: &&Term| t.kind == EffectKind::EncoderEccentricity;
+    let Some(error) = model
+        .terms
+        .iter()
+        .find(sensor)
+        .map(|t| t.amplitudes[0].hypot(t.amplitudes[1]))
+    else {
+        return false;
+    };
+    let (p, e) = (&m.fit, Equation::Torque.index());
+    let new = &next.terms[model.terms.len()..];
+    new.iter()
+        .filter(|t| shapes::has_order(t.kind) && t.shape[0] < MOST_ECHOED)
+        .any(|t| {
+            let all = p.energy(&intervals::contribution(p, m, t))[e];
+            all < (ECHO * error).powi(2) * p.energy(&p.drive)[e]
+        })
+}
+
+/// Whether a gain of the current is new that leaves the voltage as it was: without a load that is measured it is nothing in the
+/// torque but another inertia and another friction.
+fn unshown(m: &Material, model: &Fit, next: &Fit) -> bool {
+    let gain = |t: &Term| t.kind == EffectKind::CurrentGain;
+    let new = &next.terms[model.terms.len()..];
+    let e = Equation::Electrical.index();
+    let excess = model.score.energy[e] - m.fit.sensor_energy(e);
+    new.iter().any(gain)
+        && !m.has(BenchChannel::Load)
+        && model.score.energy[e] - next.score.energy[e] < LEAST_PART * excess.max(0.0)
 }
 
 /// Whether all that the new terms add to the torque is next to nothing beside the drive's, and to no other equation

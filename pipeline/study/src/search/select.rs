@@ -155,10 +155,11 @@ impl Material {
                 let fit = next.solve(terms, next.first_sigma());
                 (next, fit)
             });
-            let better = |a: &(Self, Fit), b: &(Self, Fit)| {
-                a.1.score.log_likelihood.total_cmp(&b.1.score.log_likelihood)
+            let better =
+                |a: &(Self, Fit), b: &(Self, Fit)| a.1.score.log_likelihood.total_cmp(&b.1.score.log_likelihood);
+            let Some((next, again)) = tried.max_by(better) else {
+                break;
             };
-            let Some((next, again)) = tried.max_by(better) else { break };
             let gain = again.score.log_likelihood - tied.score.log_likelihood;
             // what is far beyond the noise is no noise, and any shift takes a little of it
             let beyond = |e: &Equation| again.score.energy[e.index()] / next.fit.sensor_energy(e.index()).max(1e-300);
@@ -315,9 +316,27 @@ impl Material {
         let sensor = fit.terms.iter().find(|t| t.kind == EffectKind::EncoderEccentricity);
         if let Some(t) = sensor {
             bench.rig.encoder = (t.amplitudes[0], t.amplitudes[1]);
+            bench.rig.encoder_speed = t.shape.first().is_some_and(|x| *x > 0.5);
         }
         let excess = self.fit.excess_left(&fit.score.energy);
         self.again(bench, nuisances, (excess, self.excess.1))
+    }
+
+    /// The same without what is believed of constants that a fit holds at the end of their belief, though a voltage shows them;
+    /// `None` where there are none.
+    pub(super) fn let_go(&self, fit: &Fit) -> Option<Self> {
+        if !self.equations.contains(&Equation::Electrical) || self.bench.has_phases() {
+            return None;
+        }
+        let mut free = self.nuisances.clone();
+        let mut any = false;
+        for (n, held) in free.iter_mut().zip(&fit.believed) {
+            if matches!(n.name, "resistance" | "inertia") && n.trust != held.trust {
+                (n.trust, n.centre) = (None, 0.0);
+                any = true;
+            }
+        }
+        any.then(|| self.again(self.bench.clone(), free, self.excess))
     }
 
     /// Standard deviations to begin with: what is left when only constants are re-tuned.
@@ -410,7 +429,12 @@ fn begin(bench: &mut Bench, runs: &[Run]) {
     let rig = &mut bench.rig;
     if !rig.supply_voltage.is_finite() {
         // as high as it hardly ever is: hardly loaded
-        let mut volts: Vec<f64> = used.iter().filter_map(|r| r.channel(BenchChannel::VDc)).flatten().copied().collect();
+        let mut volts: Vec<f64> = used
+            .iter()
+            .filter_map(|r| r.channel(BenchChannel::VDc))
+            .flatten()
+            .copied()
+            .collect();
         if !volts.is_empty() {
             let order = volts.len() * 19 / 20;
             rig.supply_voltage = *volts.select_nth_unstable_by(order, f64::total_cmp).1;

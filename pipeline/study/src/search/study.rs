@@ -3,6 +3,7 @@
 use crate::candidates::columns::{self, Form};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
+use crate::measured::bench::BenchChannel;
 use crate::search::beside::{self, Beside};
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
@@ -192,6 +193,15 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         m = m.around(&model);
         model = m.polish(&m.solve(&model.terms, model.sigma), 1);
     }
+    // constants that nothing of the list explains may have one cause together
+    if let Some(loose) = m.let_go(&model) {
+        let mut fit = loose.solve(&model.terms, model.sigma);
+        let loose = loose.around(&fit);
+        fit = loose.polish(&loose.solve(&model.terms, model.sigma), 1);
+        if beside::together(&loose, &fit, &first_nuisances).is_some() {
+            (m, model) = (loose, fit);
+        }
+    }
     tell("proof on held-out data");
     let (unproven, proofs) = prove(&m, &mut model);
     for s in &mut steps {
@@ -200,7 +210,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
             s.why_not = "the held-out data do not get better";
         }
     }
-    let beside = beside::beside(&m, &model);
+    let beside = beside::beside(&m, &model, &first_nuisances);
     ambiguous.retain(|(k, _)| model.terms.iter().any(|t| t.kind == *k));
     // one filter and one set of rows for all three
     let retuned = m.solve(&[], m.first_sigma());
@@ -309,10 +319,11 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
     (0..model.terms.len()).rev().find(|&t| {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
-        // all constants together stand for a gain: their beliefs decide
+        // all constants together stand for a gain: their beliefs decide, where no load is measured
         let gain = e.kind == EffectKind::CurrentGain;
+        let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
         let needed = || !gain && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
-        linear && intervals.terms[t][0] > VAGUE * e.values[0].abs() && !needed()
+        linear && intervals.terms[t][0] > most * e.values[0].abs() && !needed()
     })
 }
 
