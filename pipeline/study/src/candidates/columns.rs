@@ -365,7 +365,8 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         }
         EffectKind::Backlash => {
             if s.user.is_some() {
-                let (followed, speed) = loose(s, 0.5 * shape[0], shape[1], shape[2]);
+                let bounce = shape.get(3).copied().unwrap_or(0.0);
+                let (followed, speed) = loose(s, 0.5 * shape[0], shape[1], shape[2], bounce);
                 let signal = followed.iter().zip(&s.theta).map(|(u, t)| u - t);
                 out.fixed.push(Piece {
                     equation: Equation::Transmission,
@@ -518,11 +519,12 @@ fn dahl(s: &Signals, distance: f64) -> Vec<f64> {
         .collect()
 }
 
-/// A load that the motor pushes through a gap of half-width `half`: its angle and speed. Let go, it is slowed down by its own friction; impacts are plastic.
+/// A load that the motor pushes through a gap of half-width `half`: its angle and speed. Let go, it is slowed down by its own friction.
 ///
 /// * `slowing` friction of the load over its inertia [rad/s2]; without end it is the play operator
 /// * `per_inertia` one over its inertia: how much a load torque accelerates it [1/(kg m2)]
-fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64) -> (Vec<f64>, Vec<f64>) {
+/// * `bounce` share of its speed towards the motor with which it bounces off; 0 is a plastic impact
+fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64, bounce: f64) -> (Vec<f64>, Vec<f64>) {
     let dt = 1.0 / s.rate_hz;
     let (mut x, mut w) = (s.theta[0], s.omega[0]);
     let mut speed = Vec::with_capacity(s.n);
@@ -541,7 +543,9 @@ fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64) -> (Vec<f64>, V
                 x = s.theta[k] - half * gap.signum();
                 // pushed along, unless it runs away by itself
                 let along = s.omega[k];
-                w = if gap > 0.0 { w.max(along) } else { w.min(along) };
+                if (along - w) * gap > 0.0 {
+                    w = along + bounce * (along - w);
+                }
             }
             speed.push(w);
             x

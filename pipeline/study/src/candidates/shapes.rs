@@ -65,10 +65,13 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         }
         EffectKind::Backlash => {
             let free = 1.0 / (0.5 * c.inertia);
-            let gaps = log(1e-5 * stroke, 0.1 * stroke, 12);
-            let slow = [1e6, 3e3, 3e2];
+            let mut gaps = log(1e-5 * stroke, 0.1 * stroke, 12);
+            gaps.extend(parted(runs));
+            // its own share of friction and inertia, more or less of either; or nothing but the play
+            let usual = c.effect.coulomb / c.inertia;
+            let slow = [1e6, 3.0 * usual, usual, 0.3 * usual];
             gaps.iter()
-                .flat_map(|&g| slow.map(|d| vec![g, d, if d > 1e5 { 0.0 } else { free }]))
+                .flat_map(|&g| slow.map(|d| if d >= 1e6 { vec![g, d, 0.0] } else { vec![g, d, free, BOUNCE] }))
                 .collect()
         }
         EffectKind::Compliance => {
@@ -124,6 +127,21 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         EffectKind::ControlDelay => one(log(0.2 / runs[0].rate_hz, 40.0 / runs[0].rate_hz, 10)),
         _ => vec![vec![]],
     }
+}
+
+/// Share of its speed with which a load bounces off, to begin with.
+const BOUNCE: f64 = 0.3;
+
+/// How far user and motor part company, but for the fewest samples [rad].
+fn parted(runs: &[Signals]) -> Option<f64> {
+    const FEW: usize = 100;
+    let of = |s: &Signals| -> Option<f64> {
+        let user = s.user.as_ref()?;
+        let mut ahead: Vec<f64> = user.iter().zip(&s.position).map(|(u, p)| u - p).collect();
+        ahead.sort_by(f64::total_cmp);
+        Some(ahead[s.n - 1 - s.n / FEW] - ahead[s.n / FEW])
+    };
+    runs.iter().map(of).try_fold(0.0, |a: f64, x| Some(a.max(x?))).filter(|x| *x > 0.0)
 }
 
 /// Corners of the filters behind which a deflection's own swing is looked for, over the rate (assumed).
@@ -215,7 +233,7 @@ fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
     match kind {
         EffectKind::Stribeck => &[LOG, LIN],
         EffectKind::LubricatedRise | EffectKind::Presliding | EffectKind::ControlDelay => &[LOG],
-        EffectKind::Backlash => &[LOG, LOG, LIN],
+        EffectKind::Backlash => &[LOG, LOG, LIN, LIN],
         EffectKind::TightSpot => &[LIN, LOG],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
         EffectKind::CommutationOffset => &[LIN, None],
@@ -240,7 +258,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
             (0.004 * stroke, 0.25 * stroke),
         ],
         EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke)],
-        EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1.0, 1e7), (0.0, 1e7)],
+        EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1e-3, 1e7), (0.0, 1e9), (0.0, 0.8)],
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],

@@ -22,6 +22,8 @@ pub(super) const LEAST_GAIN: f64 = 12.0;
 const LEAST_PART: f64 = 0.30;
 /// Smallest share of the transmission's excess that a spring in it must explain (assumed).
 const LEAST_BENT: f64 = 0.5;
+/// Gap of the transmission over its noise from which a load is not where it is thought to be (assumed).
+const FAR_LOOSE: f64 = 5.0;
 /// Torque over the drive's that an angle sensor's error makes at most, over the error, and orders of the turn that it makes
 /// (assumed: a slope of the error in a torque that goes with the speed, and as much in its product with the angle).
 const ECHO: f64 = 2.0;
@@ -155,6 +157,8 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         TWICE
     } else if unbent(m, model, next) {
         "the user's side does not bend as it asks"
+    } else if otherwise_loose(m, model, next) {
+        OTHERWISE
     } else if echoed(m, model, next) {
         "the error of the angle sensor makes as much of other torques"
     } else if unshown(m, model, next) {
@@ -207,6 +211,17 @@ fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
     let e = Equation::Transmission.index();
     let (before, after, noise) = (model.score.energy[e], next.score.energy[e], m.fit.sensor_energy(e));
     before < WORTH * noise || before - after < LEAST_BENT * (before - noise)
+}
+
+pub(super) const OTHERWISE: &str = "the load behind spring or play does something that the list does not have";
+
+/// Whether a load that came loose is still far from where its sensor sees it: what it does to the torque then is no other
+/// effect. A spring beside a play, or a play beside a spring, may be.
+fn otherwise_loose(m: &Material, model: &Fit, next: &Fit) -> bool {
+    let loose = |t: &Term| matches!(t.kind, EffectKind::Backlash | EffectKind::Compliance);
+    let e = Equation::Transmission.index();
+    let far = model.score.energy[e] > FAR_LOOSE * FAR_LOOSE * m.fit.sensor_energy(e);
+    far && model.terms.iter().any(loose) && !next.terms[model.terms.len()..].iter().all(loose)
 }
 
 /// Whether a new torque repeats once or twice a turn beside an angle sensor that is out of centre, and is no more than its error

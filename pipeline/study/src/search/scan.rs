@@ -272,7 +272,7 @@ impl<'a> Scan<'a> {
                     (EffectKind::TightSpot, Some(false)) => 0.5 * shape[1],
                     (k, _) if shapes::has_order(k) => self.order_step(),
                     (EffectKind::Stribeck, Some(false)) => 0.3,
-                    (EffectKind::Backlash, Some(false)) => 0.3 * shape[i].max(1e3),
+                    (EffectKind::Backlash, Some(false)) if i == 2 => 0.3 * shape[i].max(1e3),
                     (_, Some(true)) => 0.35,
                     _ => 0.08,
                 })

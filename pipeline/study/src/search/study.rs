@@ -7,7 +7,7 @@ use crate::measured::bench::BenchChannel;
 use crate::search::beside::{self, Beside};
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
-use crate::search::judge::{LEAST_GAIN, Step, TWICE, judged};
+use crate::search::judge::{LEAST_GAIN, OTHERWISE, Step, TWICE, judged};
 use crate::search::remainder;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
@@ -370,7 +370,7 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
                 .collect();
             return Some((step, next.clone(), rivals));
         }
-        let same_again = step.why_not == TWICE;
+        let same_again = [TWICE, OTHERWISE].contains(&step.why_not);
         out.get_or_insert(step);
         if same_again {
             // a shape that the list does not have is no reason for another name
