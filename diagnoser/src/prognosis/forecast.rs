@@ -1,6 +1,7 @@
 //! From the filter's state to the distribution of the time left: samples run forward.
 
 use super::filter::{Component, Filter};
+use super::law::Family;
 use super::prior::{Prior, Wear};
 use super::special::{evenly, normal_quantile};
 
@@ -64,6 +65,36 @@ const LAST: f64 = 0.004;
 /// Growth of the logarithm of the rate that a change of regime brings at least.
 const FASTER: f64 = 0.3;
 
+/// Changes of regime in a usual life: by family of laws, and under wear by jumps whatever the law.
+#[derive(Clone, Copy, Debug)]
+pub struct Changes {
+    by_law: [f64; Family::ALL.len()],
+    jumps: f64,
+}
+
+impl Changes {
+    /// Where no fleet is known (assumed).
+    pub const UNKNOWN: Self = Self {
+        by_law: [1.0, 3.0, 0.5, 0.5, 1.0],
+        jumps: 3.0,
+    };
+
+    /// The same whatever the law.
+    pub const fn even(n: f64) -> Self {
+        Self {
+            by_law: [n; Family::ALL.len()],
+            jumps: n,
+        }
+    }
+
+    fn of(&self, law: Family, wear: Wear) -> f64 {
+        match wear {
+            Wear::Jumps(_) => self.jumps,
+            _ => self.by_law[law as usize],
+        }
+    }
+}
+
 /// What a forecast looks at.
 #[derive(Clone, Copy, Debug)]
 pub struct Horizon {
@@ -73,8 +104,8 @@ pub struct Horizon {
     pub most: f64,
     /// standard deviation of the unit's own error of the threshold [share of U]
     pub common: f64,
-    /// changes of regime in a usual life that are reckoned with
-    pub ahead: f64,
+    /// changes of regime that are reckoned with
+    pub ahead: Changes,
     /// seed of the samples
     pub seed: u64,
 }
@@ -107,8 +138,9 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
     let mut t = 0.0;
     let end = law.spent(threshold);
     let first = if c.born == 0 { 1.0 } else { prior.later };
+    let ahead = h.ahead.of(law.family(), c.model.wear());
     // usual lives until the regime changes
-    let mut regime = random.exponential() / (first * h.ahead).max(1e-9);
+    let mut regime = random.exponential() / (first * ahead).max(1e-9);
     for _ in 0..PIECES {
         if x >= threshold {
             return t;
@@ -153,7 +185,7 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
         regime -= s * (rate.max(usual) / rate);
         if regime <= 0.0 {
             rho = (mean + sd * random.normal()).max(rho + FASTER);
-            regime = random.exponential() / (prior.later * h.ahead).max(1e-9);
+            regime = random.exponential() / (prior.later * ahead).max(1e-9);
         }
     }
     if x >= threshold { t } else { f64::INFINITY }

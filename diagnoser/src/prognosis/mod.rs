@@ -12,6 +12,7 @@ pub mod forecast;
 pub mod history;
 pub mod law;
 pub mod outlook;
+pub mod past;
 pub mod prior;
 #[cfg(test)]
 mod referees;

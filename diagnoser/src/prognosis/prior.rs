@@ -135,6 +135,11 @@ impl Prior {
         self.joint[m.index()]
     }
 
+    /// The usual life from new [units of the clock]: the geometric mean over laws.
+    pub fn usual_life(&self) -> f64 {
+        (-self.rho_mean.iter().sum::<f64>() / self.rho_mean.len() as f64).exp()
+    }
+
     /// Mean and standard deviation of rho under a combination's law.
     pub fn rho(&self, m: Model) -> (f64, f64) {
         (self.rho_mean[m.law as usize], self.rho_sd[m.law as usize])
