@@ -7,8 +7,8 @@
 //! wrongly of them.
 
 use super::law::{Family, MOST};
-use super::prior::{Laws, MODELS, Model, Prior, Wear};
-use super::special::{bessel_scaled, erfc, ln_gamma, log_normal, normal_cdf};
+use super::prior::{Jumps, Laws, MODELS, Model, Prior, Wear};
+use super::special::{erfc, ln_gamma, log_normal, normal_cdf};
 use std::sync::Arc;
 
 /// Share of diagnoses that are wrong, and the standard deviation of those [share of U] (assumed).
@@ -73,6 +73,10 @@ pub struct Component {
     pub prr: f64,
     /// update at which its regime began; 0 from the start
     pub born: u32,
+    /// jumps that it has seen
+    pub jumps: f64,
+    /// damage that they were together [share of U]
+    pub jumped: f64,
 }
 
 /// What one test says of damage [share of U].
@@ -131,6 +135,8 @@ impl Filter {
                     pxr: 0.0,
                     prr,
                     born: 0,
+                    jumps: 0.0,
+                    jumped: 0.0,
                 });
             }
         }
@@ -298,6 +304,8 @@ impl Filter {
             xx: f64,
             pxx: f64,
             rho: f64,
+            jumps: f64,
+            jumped: f64,
         }
         let mut sums = [Sums::default(); MODELS];
         for c in &self.components {
@@ -308,6 +316,8 @@ impl Filter {
             s.xx += c.weight * c.x * c.x;
             s.pxx += c.weight * c.pxx;
             s.rho += c.weight * c.rho;
+            s.jumps += c.weight * c.jumps;
+            s.jumped += c.weight * c.jumped;
         }
         let (later, born) = (self.prior.later, self.updates);
         let (x_all, sx_all) = self.damage();
@@ -334,6 +344,8 @@ impl Filter {
                         pxr: 0.0,
                         prr,
                         born,
+                        jumps: s.jumps / s.mass,
+                        jumped: s.jumped / s.mass,
                     });
                 }
             } else if s.mass < DROPPED && model.index() % ROUND == self.sweeps % ROUND {
@@ -349,6 +361,8 @@ impl Filter {
                         pxr: 0.0,
                         prr,
                         born,
+                        jumps: 0.0,
+                        jumped: 0.0,
                     });
                 }
             }
@@ -441,7 +455,7 @@ fn read(
     let variance = match wear {
         Wear::Smooth(kappa) => kappa * rise,
         Wear::Gamma(cv) => cv * cv * rise * rise * (interval / dt.max(1e-12)),
-        Wear::Jumps(size) => 2.0 * size * rise,
+        Wear::Jumps(of) => (1.0 + 1.0 / f64::from(of.shape)) * of.mean(c.jumps, c.jumped) * rise,
     };
     match reading {
         None => {
@@ -456,9 +470,9 @@ fn read(
             let noise = c.model.noise();
             let r = (noise.of_stated * sd).powi(2) + (noise.of_level * level).powi(2);
             match wear {
-                Wear::Jumps(size) if c.pxx + r < size * size => {
+                Wear::Jumps(of) if c.pxx + r < of.mean(c.jumps, c.jumped).powi(2) => {
                     c.prr = prr;
-                    jumping(c, y, r, rise / size, size)
+                    jumping(c, y, r, rise, of)
                 }
                 Wear::Gamma(_) if c.pxx + r < 0.25 * variance && dt > 0.0 => {
                     c.prr = prr;
@@ -505,6 +519,8 @@ fn matched(k: &Component, c: &Component) -> Component {
         pxr: f * k.pxr + g * c.pxr + f * g * dx * dr,
         prr: f * k.prr + g * c.prr + f * g * dr * dr,
         born: if c.weight > k.weight { c.born } else { k.born },
+        jumps: f * k.jumps + g * c.jumps,
+        jumped: f * k.jumped + g * c.jumped,
     }
 }
 
@@ -613,9 +629,12 @@ fn gamma(c: &mut Component, y: f64, r: f64, rise: f64, variance: f64) -> (f64, f
     (total, if total > 0.0 { wrong / total } else { 0.0 }, z)
 }
 
-/// No jump, jumps, or a wrong diagnosis: compound Poisson wear that is seen much more finely than a jump.
-/// * `count` jumps that are expected since the last reading
-fn jumping(c: &mut Component, y: f64, r: f64, count: f64, size: f64) -> (f64, f64, f64) {
+/// No jump, jumps, or a wrong diagnosis: compound Poisson wear that is seen much more finely than a jump. Number and size are
+/// learned apart: `rho` is that of the growth with the sizes known so far, and follows where they become known better.
+/// * `rise` growth that is expected since the last reading
+fn jumping(c: &mut Component, y: f64, r: f64, rise: f64, of: Jumps) -> (f64, f64, f64) {
+    let size = of.mean(c.jumps, c.jumped);
+    let count = rise / size;
     let e = y - c.x;
     let s = c.pxx + r;
     let sd = s.sqrt();
@@ -623,21 +642,13 @@ fn jumping(c: &mut Component, y: f64, r: f64, count: f64, size: f64) -> (f64, f6
     let none = (1.0 - WRONG) * (-count + log_normal(e, s)).exp();
     // density of at least one jump, and how many there were
     let (density, n) = if e > 3.0 * sd {
-        let b = 2.0 * (count * e / size).sqrt();
-        if b > 1e-6 {
-            let (i0, i1) = bessel_scaled(b);
-            (
-                (b - count - e / size).exp() * (count / (size * e)).sqrt() * i1,
-                0.5 * b * i0 / i1,
-            )
-        } else {
-            (count / size * (-e / size).exp(), 1.0)
-        }
+        sum_of_jumps(e, count, of, c)
     } else {
         // one exponential under the noise
         let tail = (0.5 * s / (size * size) - e / size).exp() / size;
+        let rare = (3.0 * sd / size).min(1.0).powi(i32::from(of.shape) - 1);
         (
-            count * (-count).exp() * tail * 0.5 * erfc((sd / size - z) / std::f64::consts::SQRT_2),
+            rare * count * (-count).exp() * tail * 0.5 * erfc((sd / size - z) / std::f64::consts::SQRT_2),
             1.0,
         )
     };
@@ -658,13 +669,16 @@ fn jumping(c: &mut Component, y: f64, r: f64, count: f64, size: f64) -> (f64, f6
         prr,
         ..*c
     };
+    let (jumps, jumped) = (c.jumps + n, c.jumped + e.max(0.0));
     let moved = Component {
         weight: some,
         x: y,
         pxx: r,
         pxr: 0.0,
-        rho: learned(n),
+        rho: learned(n) + (of.mean(jumps, jumped) / size).ln(),
         prr,
+        jumps,
+        jumped,
         ..*c
     };
     let stayed = Component {
@@ -674,6 +688,33 @@ fn jumping(c: &mut Component, y: f64, r: f64, count: f64, size: f64) -> (f64, f6
     };
     let total = joined(c, [rested, moved, stayed]);
     (total, if total > 0.0 { wrong / total } else { 0.0 }, z)
+}
+
+/// Jumps that are summed up at most.
+const MOST_JUMPS: usize = 12;
+
+/// Density of the sum `e` of at least one jump of a scale that is known as an inverse gamma variable (beta prime
+/// distributions), and the mean number of jumps in it.
+fn sum_of_jumps(e: f64, count: f64, of: Jumps, c: &Component) -> (f64, f64) {
+    let (a, b) = of.scale(c.jumps, c.jumped);
+    let k = f64::from(of.shape);
+    let part = e / (b + e);
+    // one jump
+    let mut term = (ln_gamma(a + k) - ln_gamma(a) - ln_gamma(k) + k * part.ln() + a * (b / (b + e)).ln() - count).exp()
+        * count
+        / e;
+    let (mut sum, mut first) = (0.0, 0.0);
+    for m in 1..=MOST_JUMPS {
+        let n = m as f64;
+        sum += term;
+        first += n * term;
+        let ratio: f64 = (0..of.shape).map(|j| (a + n * k + f64::from(j)) / (n * k + f64::from(j))).product();
+        term *= count / (n + 1.0) * part.powi(i32::from(of.shape)) * ratio;
+        if term < 1e-4 * sum {
+            break;
+        }
+    }
+    if sum > 0.0 { (sum, first / sum) } else { (0.0, 1.0) }
 }
 
 /// Damage is above `bound`: the likelihood. The component becomes the normal of the same moments.

@@ -135,6 +135,16 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
     let along = if sx > 0.0 { c.pxr / sx } else { 0.0 };
     let mut x = c.x + sx * z1;
     let mut rho = c.rho + along * z1 + (c.prr - along * along).max(0.0).sqrt() * z2;
+    // of jumps, how many come is known apart from how large they are
+    let size = match c.model.wear() {
+        Wear::Jumps(of) => {
+            let (a, b) = of.scale(c.jumps, c.jumped);
+            let size = f64::from(of.shape) * b / random.gamma(a);
+            rho += (size / of.mean(c.jumps, c.jumped)).ln();
+            size
+        }
+        _ => 0.0,
+    };
     let mut t = 0.0;
     let end = law.spent(threshold);
     let first = if c.born == 0 { 1.0 } else { prior.later };
@@ -152,12 +162,12 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
         // the same in lives at this rate
         let quiet = regime * (rate / rate.max(usual)) + 1e-6;
         let s = match c.model.wear() {
-            Wear::Jumps(size) => {
+            Wear::Jumps(of) => {
                 // until the next jump, or a piece of the way
                 let wait = random.exponential() * size / law.rate(x);
                 let piece = wait.min(0.1).min(quiet);
                 if wait <= piece {
-                    x += size * random.exponential();
+                    x += size * random.gamma(f64::from(of.shape)) / f64::from(of.shape);
                 }
                 piece
             }
@@ -170,7 +180,8 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
                 let grown = law.grow(x, s).0 - x;
                 let shape = match wear {
                     Wear::Gamma(cv) => s / rate / (prior.interval * cv * cv),
-                    Wear::Smooth(kappa) | Wear::Jumps(kappa) => grown / kappa,
+                    Wear::Smooth(kappa) => grown / kappa,
+                    Wear::Jumps(_) => 0.0,
                 };
                 x += if shape > 1e-9 {
                     grown * random.gamma(shape) / shape

@@ -10,8 +10,38 @@ pub enum Wear {
     Smooth(f64),
     /// gamma process: coefficient of variation of the growth between two tests
     Gamma(f64),
-    /// compound Poisson jumps of exponential size: their mean [share of U]
-    Jumps(f64),
+    /// compound Poisson jumps of gamma sizes, whose scale is learned
+    Jumps(Jumps),
+}
+
+/// Jumps of one kind: gamma sizes of a shape that is a whole number, and what is known of their scale at first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Jumps {
+    /// shape of the sizes; 1: exponential
+    pub shape: u8,
+    /// usual mean size [share of U]
+    pub size: f64,
+}
+
+/// Shape of the inverse gamma distribution of the scale of jumps at first (assumed): known to a factor of two or so.
+const SCALE_SHAPE: f64 = 3.0;
+
+impl Jumps {
+    /// What is known of the scale of a unit's jumps: shape and scale of an inverse gamma distribution, conjugate to the sizes.
+    /// * `seen`, `grown` number of jumps that were seen, and the damage that they were together
+    pub fn scale(&self, seen: f64, grown: f64) -> (f64, f64) {
+        let shape = f64::from(self.shape);
+        (
+            SCALE_SHAPE + shape * seen,
+            (SCALE_SHAPE - 1.0) * self.size / shape + grown,
+        )
+    }
+
+    /// Mean size of a unit's jumps [share of U].
+    pub fn mean(&self, seen: f64, grown: f64) -> f64 {
+        let (a, b) = self.scale(seen, grown);
+        f64::from(self.shape) * b / (a - 1.0)
+    }
 }
 
 /// What scatter diagnoses have beside what they state.
@@ -39,16 +69,15 @@ const LAWS: [(i32, f64); 10] = [
 ];
 const LAW_MASS: [f64; 10] = [0.1, 0.3, 0.06, 0.08, 0.06, 0.1, 0.06, 0.08, 0.08, 0.08];
 
-const WEARS: [Wear; 7] = [
+const WEARS: [Wear; 6] = [
     Wear::Smooth(2e-4),
     Wear::Gamma(0.35),
     Wear::Gamma(0.75),
     Wear::Gamma(1.4),
-    Wear::Jumps(0.02),
-    Wear::Jumps(0.045),
-    Wear::Jumps(0.09),
+    Wear::Jumps(Jumps { shape: 1, size: 0.045 }),
+    Wear::Jumps(Jumps { shape: 3, size: 0.045 }),
 ];
-const WEAR_MASS: [f64; 7] = [0.3, 0.15, 0.12, 0.1, 0.12, 0.12, 0.09];
+const WEAR_MASS: [f64; 6] = [0.3, 0.15, 0.12, 0.1, 0.18, 0.15];
 
 /// Standard deviation that the logarithm of the rate gathers in a life.
 const VOLATILITIES: [f64; 2] = [0.1, 0.35];

@@ -526,7 +526,10 @@ fn covered(models: &[Model], cases: u64, seed: u64) -> (u32, f64, f64) {
             x += match model.wear() {
                 Wear::Smooth(kappa) => s + (kappa * s).sqrt() * random.normal(),
                 Wear::Gamma(cv) => s * cv * cv * random.gamma(1.0 / (cv * cv)),
-                Wear::Jumps(size) => (0..random.poisson(s / size)).map(|_| size * random.exponential()).sum(),
+                Wear::Jumps(of) => {
+                    let (size, shape) = (of.size, f64::from(of.shape));
+                    (0..random.poisson(s / size)).map(|_| size / shape * random.gamma(shape)).sum()
+                }
             };
             rho += model.volatility() * s.sqrt() * random.normal();
             let y = x + sd * random.normal();
