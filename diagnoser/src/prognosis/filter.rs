@@ -33,7 +33,7 @@ const MOST_KEPT: usize = 150;
 const MOST_AT_FIRST: usize = 3000;
 
 /// Nodes of rho at the beginning, at a change of regime, and where a combination that was dropped is tried again.
-const NODES: usize = 13;
+const NODES: usize = 31;
 const NODES_REBORN: usize = 4;
 const NODES_AGAIN: usize = 3;
 
@@ -77,6 +77,16 @@ pub struct Component {
     pub jumps: f64,
     /// damage that they were together [share of U]
     pub jumped: f64,
+}
+
+impl Component {
+    /// Variance of rho with what is not known of the size of jumps.
+    pub fn rho_variance(&self) -> f64 {
+        match self.model.wear() {
+            Wear::Jumps(of) => self.prr + of.log_variance(self.jumps, self.jumped),
+            _ => self.prr,
+        }
+    }
 }
 
 /// What one test says of damage [share of U].
@@ -394,7 +404,7 @@ impl Filter {
 
     /// Mean and standard deviation of rho.
     pub fn rho(&self) -> (f64, f64) {
-        self.moments_of(|c| (c.rho, c.prr))
+        self.moments_of(|c| (c.rho, c.rho_variance()))
     }
 
     /// Mean and standard deviation of something that a component has with a mean and a variance.
@@ -409,7 +419,10 @@ impl Filter {
 
     /// Mean and standard deviation of the logarithm of the growth of damage [1 / unit of the clock].
     pub fn log_rate(&self) -> (f64, f64) {
-        self.moments_of(|c| (c.rho + self.laws.of(c.model).rate(c.x).max(1e-300).ln(), c.prr))
+        self.moments_of(|c| {
+            let log = c.rho + self.laws.of(c.model).rate(c.x).max(1e-300).ln();
+            (log, c.rho_variance())
+        })
     }
 
     /// Mass by family of laws.

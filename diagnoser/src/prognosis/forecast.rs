@@ -76,7 +76,7 @@ impl Changes {
     /// Where no fleet is known (assumed).
     pub const UNKNOWN: Self = Self {
         by_law: [1.0, 3.0, 0.5, 0.5, 1.0],
-        jumps: 3.0,
+        jumps: 2.0,
     };
 
     /// The same whatever the law.

@@ -42,6 +42,12 @@ impl Jumps {
         let (a, b) = self.scale(seen, grown);
         f64::from(self.shape) * b / (a - 1.0)
     }
+
+    /// Variance of its logarithm (trigamma function, by three terms of its series).
+    pub fn log_variance(&self, seen: f64, grown: f64) -> f64 {
+        let r = 1.0 / self.scale(seen, grown).0;
+        r * (1.0 + r * (0.5 + r / 6.0))
+    }
 }
 
 /// What scatter diagnoses have beside what they state.

@@ -543,7 +543,7 @@ fn covered(models: &[Model], cases: u64, seed: u64) -> (u32, f64, f64) {
         let below: f64 = filter
             .components
             .iter()
-            .map(|c| c.weight * normal_cdf((rho - c.rho) / c.prr.sqrt()))
+            .map(|c| c.weight * normal_cdf((rho - c.rho) / c.rho_variance().sqrt()))
             .sum();
         inside += u32::from((0.05..=0.95).contains(&below));
         let (mean, sd) = filter.rho();
