@@ -65,7 +65,8 @@ const LAST: f64 = 0.004;
 /// Growth of the logarithm of the rate that a change of regime brings at least.
 const FASTER: f64 = 0.3;
 
-/// Changes of regime in a usual life: by family of laws, and under wear by jumps whatever the law.
+/// Changes of regime in a usual life: by family of laws, in proportion to the damage that is still to come, and under wear by
+/// jumps whatever the law. Laws that speed up leave less to be explained by changes.
 #[derive(Clone, Copy, Debug)]
 pub struct Changes {
     by_law: [f64; Family::ALL.len()],
@@ -75,8 +76,8 @@ pub struct Changes {
 impl Changes {
     /// Where no fleet is known (assumed).
     pub const UNKNOWN: Self = Self {
-        by_law: [1.0, 3.0, 0.5, 0.5, 1.0],
-        jumps: 2.0,
+        by_law: [1.0, 4.0, 0.7, 0.7, 1.0],
+        jumps: 2.5,
     };
 
     /// The same whatever the law.
@@ -87,10 +88,10 @@ impl Changes {
         }
     }
 
-    fn of(&self, law: Family, wear: Wear) -> f64 {
+    fn of(&self, law: Family, wear: Wear, x: f64) -> f64 {
         match wear {
             Wear::Jumps(_) => self.jumps,
-            _ => self.by_law[law as usize],
+            _ => self.by_law[law as usize] * (1.0 - x).clamp(0.05, 1.0),
         }
     }
 }
@@ -148,7 +149,7 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
     let mut t = 0.0;
     let end = law.spent(threshold);
     let first = if c.born == 0 { 1.0 } else { prior.later };
-    let ahead = h.ahead.of(law.family(), c.model.wear());
+    let ahead = h.ahead.of(law.family(), c.model.wear(), c.x);
     // usual lives until the regime changes
     let mut regime = random.exponential() / (first * ahead).max(1e-9);
     for _ in 0..PIECES {

@@ -12,6 +12,10 @@ use std::sync::Arc;
 const FALL_SD: f64 = 8.0;
 const FALL_SHARE: f64 = 0.1;
 
+/// Damage below which there is nothing to repair: a fall from there is two wrong tests, however rare they are (assumed)
+/// [share of U].
+const WORN: f64 = 0.05;
+
 /// Spread of the damage where nothing is known of it: of a unit that comes new, and after a repair [share of U].
 const UNKNOWN: f64 = 0.3;
 
@@ -332,7 +336,8 @@ impl Track {
         let (x, px) = self.filter.damage();
         let bound = x - (FALL_SD * px.hypot(sd)).max(FALL_SHARE * x);
         // the second test of a fall is held against what was before it
-        if self.since_repair >= 3 && y < self.suspect.map_or(bound, |s| s.2) {
+        let is_worn = self.suspect.map_or(x, |s| s.3) > WORN;
+        if self.since_repair >= 3 && is_worn && y < self.suspect.map_or(bound, |s| s.2) {
             self.wrong += (1.0 - self.wrong) * 0.1;
             let Some((at, level, _, x)) = self.suspect.take() else {
                 self.suspect = Some((row.at, y, bound, x));
