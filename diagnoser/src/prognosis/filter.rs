@@ -44,6 +44,51 @@ const ROUND: usize = 8;
 const AGAIN: f64 = 0.2;
 const DROPPED: f64 = 1e-3;
 
+/// How a regime begins anew.
+struct Anew {
+    /// mean of the logarithm of its rate over that of the prior
+    faster: f64,
+    /// spread of it [that of the prior]
+    wider: f64,
+    /// nodes of it
+    nodes: usize,
+    /// shift of the level: standard deviation [share of U]
+    shift: f64,
+    /// whether later changes, and those to a slower rate, are rarer
+    rarer: bool,
+}
+
+/// Of itself.
+const UNTOLD: Anew = Anew {
+    faster: 0.0,
+    wider: 1.0,
+    nodes: NODES_REBORN,
+    shift: 0.0,
+    rarer: true,
+};
+
+/// Because something was done, and the mass of it (assumed).
+const TOLD: (f64, Anew) = (
+    0.6,
+    Anew {
+        faster: 0.0,
+        wider: 2.5,
+        nodes: 13,
+        shift: 0.1,
+        rarer: false,
+    },
+);
+
+/// The same where a lubricant was lost, or something as bad: ten times as fast, or as much again (assumed).
+const LOST: (f64, Anew) = (
+    0.9,
+    Anew {
+        faster: 2.3,
+        wider: 1.5,
+        ..TOLD.1
+    },
+);
+
 /// Mass that a combination needs to be born anew itself.
 const REBORN: f64 = 0.01;
 
@@ -306,6 +351,21 @@ impl Filter {
 
     /// A share of the mass begins anew with a rate of the prior; law, wear and scatter as learned, or nearly so.
     pub fn rebirth(&mut self, share: f64) {
+        self.begin_anew(share, &UNTOLD);
+    }
+
+    /// Something was done to the unit: a rate that the prior would hardly have, faster or slower, and a level that may have
+    /// shifted.
+    pub fn told(&mut self) {
+        self.begin_anew(TOLD.0, &TOLD.1);
+    }
+
+    /// Something was lost that kept the unit from wearing.
+    pub fn lost(&mut self) {
+        self.begin_anew(LOST.0, &LOST.1);
+    }
+
+    fn begin_anew(&mut self, share: f64, how: &Anew) {
         #[derive(Clone, Copy, Default)]
         struct Sums {
             mass: f64,
@@ -336,14 +396,16 @@ impl Filter {
         for model in Model::all() {
             let s = sums[model.index()];
             let (mean, sd) = self.prior.rho(model);
+            let (mean, sd) = (mean + how.faster, sd * how.wider);
             if s.mass >= REBORN {
                 // later changes are rarer, and so are those to a slower rate
-                let share = share * (s.first + later * (s.mass - s.first)) / s.mass;
+                let rare = if how.rarer { (s.first + later * (s.mass - s.first)) / s.mass } else { 1.0 };
+                let share = share * rare;
                 let (x, now) = (s.x / s.mass, s.rho / s.mass);
-                let pxx = (s.xx / s.mass - x * x).max(0.0) + s.pxx / s.mass;
-                let rarer = |rho: f64| if rho < now { SLOWER } else { 1.0 };
-                let total: f64 = nodes(mean, sd, NODES_REBORN).map(|(w, rho, _)| w * rarer(rho)).sum();
-                for (w, rho, prr) in nodes(mean, sd, NODES_REBORN) {
+                let pxx = (s.xx / s.mass - x * x).max(0.0) + s.pxx / s.mass + how.shift * how.shift;
+                let rarer = |rho: f64| if how.rarer && rho < now { SLOWER } else { 1.0 };
+                let total: f64 = nodes(mean, sd, how.nodes).map(|(w, rho, _)| w * rarer(rho)).sum();
+                for (w, rho, prr) in nodes(mean, sd, how.nodes) {
                     let weight = w * rarer(rho) / total.max(0.3) * s.mass * share;
                     young.push(Component {
                         model,
@@ -377,6 +439,7 @@ impl Filter {
                 }
             }
         }
+        let later = if how.rarer { later } else { 1.0 };
         for c in &mut self.components {
             if sums[c.model.index()].mass >= REBORN {
                 c.weight *= 1.0 - if c.born == 0 { share } else { share * later };
@@ -423,6 +486,15 @@ impl Filter {
             let log = c.rho + self.laws.of(c.model).rate(c.x).max(1e-300).ln();
             (log, c.rho_variance())
         })
+    }
+
+    /// Probability that the logarithm of the growth of damage is above a bound [1 / unit of the clock].
+    pub fn above_log_rate(&self, bound: f64) -> f64 {
+        let above = |c: &Component| {
+            let log = c.rho + self.laws.of(c.model).rate(c.x).max(1e-300).ln();
+            c.weight * normal_cdf((log - bound) / c.rho_variance().sqrt())
+        };
+        self.components.iter().map(above).sum()
     }
 
     /// Mass by family of laws.

@@ -42,9 +42,6 @@ const OFTEN: usize = 4;
 /// A jump of otherwise even wear [share of U].
 const JUMP: f64 = 0.05;
 
-/// Mass by which a change of regime is reborn where the events say that something was done.
-const TOLD: f64 = 0.6;
-
 /// What is alarming.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -190,6 +187,17 @@ pub struct Track {
     segment: u32,
     wrong: f64,
     next_event: usize,
+    told: Option<Told>,
+}
+
+/// What the events told last, and how the unit stood before.
+#[derive(Clone, Copy, Debug)]
+struct Told {
+    at: f64,
+    /// logarithm of the rate
+    rate: f64,
+    /// damage
+    x: f64,
 }
 
 impl Track {
@@ -215,6 +223,7 @@ impl Track {
             segment: 0,
             wrong: 0.0,
             next_event: 0,
+            told: None,
         }
     }
 
@@ -225,6 +234,10 @@ impl Track {
             && at <= row.at
         {
             self.next_event += 1;
+            if what != Happening::Repair && !self.at.is_nan() {
+                let (rate, x) = (self.filter.log_rate().0, self.filter.damage().0);
+                self.told = Some(Told { at, rate, x });
+            }
             match what {
                 _ if self.at.is_nan() => {}
                 Happening::Repair => {
@@ -232,7 +245,8 @@ impl Track {
                     self.filter.rebirth(0.3);
                     self.restart(at);
                 }
-                Happening::Change => self.filter.rebirth(TOLD),
+                Happening::Change => self.filter.told(),
+                Happening::Loss => self.filter.lost(),
             }
         }
         self.test(row);
@@ -279,6 +293,7 @@ impl Track {
         self.first.clear();
         self.start = None;
         self.onset = false;
+        self.told = None;
         self.change = None;
         self.since_repair = 0;
         self.segment += 1;
@@ -425,6 +440,7 @@ impl Track {
         if self.suspect.is_some() {
             return;
         }
+        self.changed_as_told(x);
         let noise = self.stated;
         let bound = ONSET.max(ONSET_SD * noise);
         let before = self.updates.iter().rev().nth(1).map_or(x, |u| u.1);
@@ -490,6 +506,30 @@ impl Track {
             let text = format!("at {}, rate x {factor:.1}", (t * 1e3).round() / 1e3);
             self.alarm(Kind::RateChange, mass, since, text);
         }
+    }
+
+    /// Where the events say that something was done, less growth is enough: tests of it, standard deviations of a test.
+    fn changed_as_told(&mut self, x: f64) {
+        const TESTS: usize = 3;
+        const SD: f64 = 3.0;
+        let Some(t) = self.told else { return };
+        let since = self.updates.iter().filter(|u| u.0 >= t.at).count();
+        let bound = t.rate + CHANGED.ln();
+        let faster = self.filter.above_log_rate(bound);
+        if since < TESTS || x - t.x < SD * self.stated || faster < CERTAIN {
+            return;
+        }
+        self.told = None;
+        let factor = (self.filter.log_rate().0 - t.rate).exp();
+        let since = (t.at, t.at);
+        self.change = Some(Change {
+            at: t.at,
+            since,
+            probability: faster,
+            factor,
+        });
+        let text = format!("at {}, as the events told, rate x {factor:.1}", (t.at * 1e3).round() / 1e3);
+        self.alarm(Kind::RateChange, faster, since, text);
     }
 
     fn jumped(&mut self, x: f64, noise: f64) {
