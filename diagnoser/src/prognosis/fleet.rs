@@ -3,7 +3,7 @@
 use super::filter::Filter;
 use super::forecast::{Changes, Horizon, forecast, quantile};
 use super::past::{self, FORECASTS, Look, Past, alike, distances, places, rounded, weights};
-use super::prior::{MODELS, Prior};
+use super::prior::{MODELS, Model, Prior};
 use super::similar::{Kernel, Life, Likeness, similar};
 use super::special::evenly;
 use super::track::Track;
@@ -51,9 +51,14 @@ const UPPERS: [f64; 16] = [
 /// Coverage of intervals of the time left.
 pub const COVERAGE: f64 = 0.9;
 
-/// What choosing shares and tails on the same lives costs: an interval is taken for so much more, over the number of lives
-/// (assumed).
+/// What choosing shares and ends on the same lives costs: an interval is taken for so much more, over the number of lives, and
+/// for so much at most (assumed).
 const CHOSEN: f64 = 1.0;
+const MOST_CHOSEN: f64 = 0.03;
+
+/// Ends of the interval where nothing was learned; units from which those of even wear and of jumps are told apart (assumed).
+const USUAL_ENDS: (f64, f64) = (0.05, 0.95);
+const OWN_ENDS: usize = 10;
 
 /// Shares of the forecasts where nothing was learned of them: without lives to compare with, and with them (assumed).
 const USUAL: [f64; FORECASTS] = [0.3, 0.6, 0.1, 0.0, 0.0];
@@ -81,8 +86,8 @@ pub struct Fleet {
     pub unseen: f64,
     /// past forecasts, and what came of them; those of one unit stand together
     pub pasts: Vec<Past>,
-    /// mass below the lower and below the upper end of the interval, by band
-    pub ends: Vec<(f64, f64)>,
+    /// mass below the lower and below the upper end of the interval, by band; of even wear, then of wear by jumps
+    pub ends: Vec<[(f64, f64); 2]>,
 }
 
 /// The distribution of the time left, as it is promised.
@@ -104,6 +109,7 @@ pub struct Shot {
     /// unit
     pub unit: usize,
     band: usize,
+    by_jumps: bool,
     look: Look,
     middle: f64,
     sets: [Vec<f64>; FORECASTS],
@@ -250,11 +256,17 @@ pub fn shot<'a>(unit: usize, track: &Track, lives: impl Iterator<Item = &'a Life
     Shot {
         unit,
         band: band(track.filter.damage().0),
+        by_jumps: by_jumps(track),
         look: Look::of(track),
         middle: middle(track, &sets),
         sets,
         truth,
     }
+}
+
+/// Whether a unit wears by jumps, most probably.
+fn by_jumps(track: &Track) -> bool {
+    track.group() + 1 == Model::GROUPS.len()
 }
 
 /// Geometric mean of a unit's age and of what is foretold [units of the clock].
@@ -306,7 +318,7 @@ impl Fleet {
             censored,
             unseen,
             pasts: Vec::new(),
-            ends: vec![(TAILS[0], TAILS[0] + COVERAGE); N_BANDS],
+            ends: vec![[USUAL_ENDS; 2]; N_BANDS],
         };
         if is_compared(f.lives.len(), unseen) && !shots.is_empty() {
             f.replay(shots);
@@ -362,8 +374,16 @@ impl Fleet {
         let placed = shots.iter().zip(&near).zip(&mixed);
         let placed = placed.map(|((s, n), m)| (s, self.placed(n, m, Some(s.unit as u32))));
         let placed: Vec<(&Shot, Vec<f64>)> = placed.collect();
-        let ends = |b: usize| narrowest(&placed, b, most, self.lives.len());
-        self.ends = (0..N_BANDS).map(ends).collect();
+        self.ends = (0..N_BANDS)
+            .map(|b| {
+                let of = |s: &Shot| s.band == b;
+                let whole = narrowest(&placed, of, most).unwrap_or((USUAL_ENDS, 0));
+                [false, true].map(|by_jumps| {
+                    let own = narrowest(&placed, |s| of(s) && s.by_jumps == by_jumps, most);
+                    own.filter(|e| e.1 >= OWN_ENDS).unwrap_or(whole).0
+                })
+            })
+            .collect();
     }
 
     /// Whether intervals are calibrated: lives enough stand behind them.
@@ -379,7 +399,7 @@ impl Fleet {
             && self.lives.iter().all(Life::is_sound)
             && self.pasts.iter().all(Past::is_sound)
             && self.ends.len() == N_BANDS
-            && self.ends.iter().all(|(a, b)| 0.0 <= *a && a < b && *b <= 1.0)
+            && self.ends.iter().flatten().all(|(a, b)| 0.0 <= *a && a < b && *b <= 1.0)
     }
 
     /// The time left of a unit.
@@ -396,7 +416,7 @@ impl Fleet {
         sets[4] = alike(&self.pasts, &near, middle(track, &sets), None, SAMPLES);
         let shares = past::shares(&self.pasts, &near, self.usual(), None);
         let times = self.placed(&near, &mixture(&sets, &shares, SAMPLES), None);
-        let (lower, upper) = self.ends[b];
+        let (lower, upper) = self.ends[b][usize::from(by_jumps(track))];
         let interval = (quantile(&times, lower), quantile(&times, upper));
         Left {
             times,
@@ -413,15 +433,15 @@ impl Fleet {
     }
 }
 
-/// Masses below the ends of the interval that would have held [`COVERAGE`] of a band's past truths, a unit's together as one, and
-/// would have been the narrowest over the truth.
-fn narrowest(placed: &[(&Shot, Vec<f64>)], band: usize, most: f64, lives: usize) -> (f64, f64) {
-    let of: Vec<&(&Shot, Vec<f64>)> = placed.iter().filter(|p| p.0.band == band).collect();
+/// Masses below the ends of the interval that would have held [`COVERAGE`] of some past truths, a unit's together as one, and
+/// would have been the narrowest over the truth; and the units.
+fn narrowest(placed: &[(&Shot, Vec<f64>)], of: impl Fn(&Shot) -> bool, most: f64) -> Option<((f64, f64), usize)> {
+    let of: Vec<&(&Shot, Vec<f64>)> = placed.iter().filter(|p| of(p.0)).collect();
     let count = |unit: usize| of.iter().filter(|p| p.0.unit == unit).count() as f64;
     let weights: Vec<f64> = of.iter().map(|p| 1.0 / count(p.0.unit)).collect();
     let total: f64 = weights.iter().sum();
-    let asked = COVERAGE + (CHOSEN / lives as f64).min(0.05);
-    let mut best = ((TAILS[0], TAILS[0] + COVERAGE), f64::INFINITY);
+    let asked = COVERAGE + (CHOSEN / total.max(1.0)).min(MOST_CHOSEN);
+    let mut best: Option<((f64, f64), f64)> = None;
     for lower in TAILS {
         for upper in UPPERS {
             let (mut held, mut width) = (0.0, 0.0);
@@ -430,12 +450,12 @@ fn narrowest(placed: &[(&Shot, Vec<f64>)], band: usize, most: f64, lives: usize)
                 held += if (lo..=hi).contains(&s.truth) { *w } else { 0.0 };
                 width += w * (hi.min(most) - lo) / s.truth.max(1e-9);
             }
-            if held >= asked * total && width < best.1 {
-                best = ((lower, upper), width);
+            if held >= asked * total && best.is_none_or(|b| width < b.1) {
+                best = Some(((lower, upper), width));
             }
         }
     }
-    best.0
+    best.map(|b| (b.0, total.round() as usize))
 }
 
 #[cfg(test)]
