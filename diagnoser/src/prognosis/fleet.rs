@@ -43,7 +43,7 @@ const SAMPLES: usize = 400;
 const LIVES_AHEAD: f64 = 10.0;
 
 /// Masses that may lie below the lower and below the upper end of an interval.
-const TAILS: [f64; 7] = [0.05, 0.04, 0.03, 0.02, 0.01, 0.07, 0.09];
+const TAILS: [f64; 5] = [0.05, 0.04, 0.03, 0.02, 0.01];
 const UPPERS: [f64; 16] = [
     0.8, 0.82, 0.84, 0.86, 0.88, 0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98, 0.99, 1.0,
 ];
@@ -56,9 +56,10 @@ pub const COVERAGE: f64 = 0.9;
 const CHOSEN: f64 = 1.0;
 const MOST_CHOSEN: f64 = 0.03;
 
-/// Ends of the interval where nothing was learned; units from which those of even wear and of jumps are told apart (assumed).
+/// Ends of the interval where nothing was learned; units of jumps that those of even wear are shrunk to, and the other way round
+/// (assumed).
 const USUAL_ENDS: (f64, f64) = (0.05, 0.95);
-const OWN_ENDS: usize = 10;
+const UNITS_OF_OTHERS: f64 = 15.0;
 
 /// Shares of the forecasts where nothing was learned of them: without lives to compare with, and with them (assumed).
 const USUAL: [f64; FORECASTS] = [0.3, 0.6, 0.1, 0.0, 0.0];
@@ -122,7 +123,7 @@ impl Left {
     pub fn of(times: Vec<f64>, calibrated: Option<usize>, horizon: f64) -> Self {
         let width = |a: f64| quantile(&times, a + COVERAGE) - quantile(&times, a);
         let narrower = |a: f64, b: f64| if width(b) < width(a) { b } else { a };
-        let tail = TAILS[..5].iter().copied().fold(TAILS[0], narrower);
+        let tail = TAILS.iter().copied().fold(TAILS[0], narrower);
         let interval = (quantile(&times, tail), quantile(&times, tail + COVERAGE));
         Self {
             times,
@@ -374,16 +375,8 @@ impl Fleet {
         let placed = shots.iter().zip(&near).zip(&mixed);
         let placed = placed.map(|((s, n), m)| (s, self.placed(n, m, Some(s.unit as u32))));
         let placed: Vec<(&Shot, Vec<f64>)> = placed.collect();
-        self.ends = (0..N_BANDS)
-            .map(|b| {
-                let of = |s: &Shot| s.band == b;
-                let whole = narrowest(&placed, of, most).unwrap_or((USUAL_ENDS, 0));
-                [false, true].map(|by_jumps| {
-                    let own = narrowest(&placed, |s| of(s) && s.by_jumps == by_jumps, most);
-                    own.filter(|e| e.1 >= OWN_ENDS).unwrap_or(whole).0
-                })
-            })
-            .collect();
+        let ends = |b: usize| [false, true].map(|jumps| narrowest(&placed, b, jumps, most));
+        self.ends = (0..N_BANDS).map(ends).collect();
     }
 
     /// Whether intervals are calibrated: lives enough stand behind them.
@@ -433,12 +426,21 @@ impl Fleet {
     }
 }
 
-/// Masses below the ends of the interval that would have held [`COVERAGE`] of some past truths, a unit's together as one, and
-/// would have been the narrowest over the truth; and the units.
-fn narrowest(placed: &[(&Shot, Vec<f64>)], of: impl Fn(&Shot) -> bool, most: f64) -> Option<((f64, f64), usize)> {
-    let of: Vec<&(&Shot, Vec<f64>)> = placed.iter().filter(|p| of(p.0)).collect();
+/// Masses below the ends of the interval that would have held [`COVERAGE`] of a band's past truths, a unit's together as one, and
+/// would have been the narrowest over the truth: of those of one kind of wear, with so many units of the other.
+fn narrowest(placed: &[(&Shot, Vec<f64>)], band: usize, by_jumps: bool, most: f64) -> (f64, f64) {
+    let of: Vec<&(&Shot, Vec<f64>)> = placed.iter().filter(|p| p.0.band == band).collect();
     let count = |unit: usize| of.iter().filter(|p| p.0.unit == unit).count() as f64;
-    let weights: Vec<f64> = of.iter().map(|p| 1.0 / count(p.0.unit)).collect();
+    let mut weights: Vec<f64> = of.iter().map(|p| 1.0 / count(p.0.unit)).collect();
+    let is_other = |i: usize| of[i].0.by_jumps != by_jumps;
+    let others: f64 = (0..of.len()).filter(|i| is_other(*i)).map(|i| weights[i]).sum();
+    for (i, w) in weights.iter_mut().enumerate() {
+        *w *= if is_other(i) {
+            (UNITS_OF_OTHERS / others).min(1.0)
+        } else {
+            1.0
+        };
+    }
     let total: f64 = weights.iter().sum();
     let asked = COVERAGE + (CHOSEN / total.max(1.0)).min(MOST_CHOSEN);
     let mut best: Option<((f64, f64), f64)> = None;
@@ -455,7 +457,7 @@ fn narrowest(placed: &[(&Shot, Vec<f64>)], of: impl Fn(&Shot) -> bool, most: f64
             }
         }
     }
-    best.map(|b| (b.0, total.round() as usize))
+    best.map_or(USUAL_ENDS, |b| b.0)
 }
 
 #[cfg(test)]

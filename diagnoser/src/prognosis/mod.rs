@@ -19,6 +19,7 @@ mod referees;
 pub mod similar;
 pub mod special;
 pub mod track;
+mod update;
 
 pub use filter::Filter;
 pub use fleet::{Fleet, Left};

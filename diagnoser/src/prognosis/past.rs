@@ -161,7 +161,13 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
 pub fn weights(pasts: &[Past], look: &Look, without: Option<u32>) -> Vec<f64> {
     let mut out: Vec<f64> = pasts
         .iter()
-        .map(|p| if Some(p.unit) == without { 0.0 } else { p.look.near(look) })
+        .map(|p| {
+            if Some(p.unit) == without {
+                0.0
+            } else {
+                p.look.near(look)
+            }
+        })
         .collect();
     for_units(pasts, |range| {
         let sum: f64 = out[range.clone()].iter().sum();
@@ -223,7 +229,10 @@ pub fn shares(pasts: &[Past], near: &[f64], usual: &[f64; FORECASTS], without: O
     let cost = |s: &[f64; FORECASTS]| {
         let mean: f64 = s.iter().zip(&off).map(|(s, o)| s * o).sum();
         let double = |i: usize, j: usize| if i == j { 0.5 } else { 1.0 };
-        let own: f64 = pairs().zip(&apart).map(|((i, j), a)| double(i, j) * s[i] * s[j] * a).sum();
+        let own: f64 = pairs()
+            .zip(&apart)
+            .map(|((i, j), a)| double(i, j) * s[i] * s[j] * a)
+            .sum();
         let usual: f64 = s.iter().zip(usual).map(|(a, b)| (a - b).powi(2)).sum();
         mean - own + drawn * usual
     };
@@ -286,11 +295,71 @@ pub fn alike(pasts: &[Past], near: &[f64], middle: f64, without: Option<u32>, sa
     if total.is_nan() || total <= 0.0 {
         return Vec::new();
     }
-    let mut points: Vec<(f64, f64)> = pasts.iter().zip(&weights).map(|(p, w)| (f64::from(p.longer), w / total)).collect();
+    let mut points: Vec<(f64, f64)> = pasts
+        .iter()
+        .zip(&weights)
+        .map(|(p, w)| (f64::from(p.longer), w / total))
+        .collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     let z = |k: usize| normal_quantile((k as f64 * 0.618_033_988_749_895).fract().clamp(0.001, 0.999));
     let chosen = evenly(points.iter().map(|p| p.1), samples).into_iter().enumerate();
-    let mut out: Vec<f64> = chosen.map(|(k, i)| middle * (points[i].0 + SMOOTH * z(k)).exp()).collect();
+    let mut out: Vec<f64> = chosen
+        .map(|(k, i)| middle * (points[i].0 + SMOOTH * z(k)).exp())
+        .collect();
     out.sort_by(f64::total_cmp);
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::forecast::crps;
+    use super::*;
+
+    fn past(unit: u32, x: f32, off: [f32; FORECASTS]) -> Past {
+        let mut look = [0.0; LOOKS];
+        look[0] = x;
+        Past {
+            unit,
+            look: Look(look),
+            longer: 0.0,
+            below: 0.5,
+            off,
+            apart: [0.0; PAIRS],
+        }
+    }
+
+    #[test]
+    fn scores_of_mixtures_follow_from_distances() {
+        let line = |a: f64, b: f64| -> Vec<f64> { (0..COMPARED_BY).map(|i| a + b * i as f64).collect() };
+        let sets = [
+            line(1.0, 0.1),
+            line(5.0, 0.02),
+            line(3.0, 0.2),
+            line(2.0, 0.0),
+            line(4.0, 0.05),
+        ];
+        let (off, apart) = distances(&sets, 4.0, 100.0);
+        let mut both: Vec<f64> = sets[0].iter().chain(&sets[2]).copied().collect();
+        both.sort_by(f64::total_cmp);
+        let at = |i, j| f64::from(apart[pairs().position(|p| p == (i, j)).unwrap()]);
+        let score = 0.5 * f64::from(off[0] + off[2]) - 0.125 * (at(0, 0) + at(2, 2)) - 0.25 * at(0, 2);
+        assert!((4.0 * score - crps(&both, 4.0, 100.0)).abs() < 3e-3, "{score}");
+    }
+
+    #[test]
+    fn those_near_decide_and_a_unit_counts_once() {
+        let good = |k: usize| std::array::from_fn(|i| if i == k { 0.1 } else { 1.0 });
+        let mut pasts: Vec<Past> = (0..20).map(|u| past(u, 0.0, good(3))).collect();
+        pasts.extend((20..40).map(|u| past(u, 3.0, good(0))));
+        // one unit that stands there a hundred times
+        pasts.extend((0..100).map(|_| past(40, 0.0, good(1))));
+        let near = weights(&pasts, &pasts[0].look, Some(0));
+        assert!((near.iter().sum::<f64>() - 20.0).abs() < 1e-9 && near[0] == 0.0);
+        let s = shares(&pasts, &near, &[0.2; FORECASTS], None);
+        assert!(s[3] > 0.8, "{s:?}");
+        // places in the middle draw there
+        let q = places(&pasts, &near, None, 100);
+        assert!(q.windows(2).all(|w| w[0] <= w[1]) && q[25] > 0.26 && q[75] < 0.74);
+        assert!(alike(&[], &[], 1.0, None, 10).is_empty());
+    }
 }

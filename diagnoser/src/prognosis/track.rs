@@ -528,7 +528,10 @@ impl Track {
             probability: faster,
             factor,
         });
-        let text = format!("at {}, as the events told, rate x {factor:.1}", (t.at * 1e3).round() / 1e3);
+        let text = format!(
+            "at {}, as the events told, rate x {factor:.1}",
+            (t.at * 1e3).round() / 1e3
+        );
         self.alarm(Kind::RateChange, faster, since, text);
     }
 
@@ -557,5 +560,74 @@ impl Track {
             );
             self.alarm(Kind::Jump, 0.95, (before.0, now.0), text);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(levels: &[(f64, f64)], sd: f64, events: Vec<(f64, Happening)>) -> Track {
+        let row = |&(at, x): &(f64, f64)| Row {
+            at,
+            ended: Ended::Located,
+            lo: Some(x - 1.96 * sd),
+            hi: Some(x + 1.96 * sd),
+            estimate: Some(x),
+            coverage: 0.95,
+        };
+        let history = History::new("a".into(), levels.iter().map(row).collect(), events);
+        let scale = Scale {
+            healthy: 0.0,
+            threshold: 1.0,
+            range: None,
+        };
+        let mut track = Track::new(Arc::new(Prior::shipped(1.0)), scale);
+        track.read_all(&history);
+        track
+    }
+
+    /// Noise of one standard deviation or so, the same everywhere.
+    fn noise(i: usize) -> f64 {
+        ((i as f64 * 12.9898).sin() * 43_758.545_3).rem_euclid(1.0) * 3.4 - 1.7
+    }
+
+    #[test]
+    fn what_is_not_worn_is_not_repaired() {
+        let healthy = |i: usize| (i as f64, 0.01 + 0.001 * noise(i));
+        let mut levels: Vec<_> = (0..120).map(healthy).collect();
+        (levels[60].1, levels[61].1) = (-0.09, -0.09);
+        let track = read(&levels, 0.001, vec![]);
+        assert!(track.alarms.is_empty(), "{:?}", track.alarms);
+        // a worn one is
+        let worn = |i: usize| (i as f64, 0.005 * (i % 80) as f64 + 0.001 * noise(i));
+        let track = read(&(0..120).map(worn).collect::<Vec<_>>(), 0.001, vec![]);
+        assert!(
+            track
+                .alarms
+                .iter()
+                .any(|a| a.kind == Kind::UnrecordedRepair && a.at <= 82.0)
+        );
+    }
+
+    /// Coarse tests, and few of them after a lubricant was lost: what grew before anybody could say is believed sooner where the
+    /// events tell of it.
+    #[test]
+    fn a_loss_that_is_told_is_followed_sooner() {
+        let level = |i: usize| {
+            let after = (i as f64 - 40.0).max(0.0);
+            (i as f64, 0.03 * after + 0.03 * noise(i))
+        };
+        let levels: Vec<_> = (0..46).map(level).collect();
+        let told = read(&levels, 0.03, vec![(40.0, Happening::Loss)]);
+        let silent = read(&levels, 0.03, vec![]);
+        let alarm = told.alarms.iter().find(|a| a.kind == Kind::RateChange);
+        assert!(
+            alarm.is_some_and(|a| a.at <= 45.0 && a.probability > 0.9),
+            "{:?}",
+            told.alarms
+        );
+        assert!(!silent.alarms.iter().any(|a| a.kind == Kind::RateChange));
+        assert!(told.filter.log_rate().0 > silent.filter.log_rate().0);
     }
 }
