@@ -6,18 +6,11 @@
 //! scatters, gamma increments and jumps are taken as what they are, since a normal of their variance learns the rate
 //! wrongly of them.
 
-use super::law::{Family, MOST};
+use super::law::Family;
 use super::prior::{Laws, MODELS, Model, Prior, Wear};
-use super::special::{bessel_scaled, erfc, ln_gamma, log_normal, normal_cdf};
+use super::special::normal_cdf;
+use super::update::read;
 use std::sync::Arc;
-
-/// Share of diagnoses that are wrong, and the standard deviation of those [share of U] (assumed).
-const WRONG: f64 = 0.004;
-const WRONG_SD: f64 = 0.35;
-
-/// Jumps a life beside other wear, and their size [share of U] (assumed).
-const RARE_JUMPS: f64 = 0.3;
-const RARE_SIZE: f64 = 0.08;
 
 /// Share of units whose wear has not begun; its logarithm of the rate beside the prior's, and the spread of that
 /// (assumed).
@@ -33,7 +26,7 @@ const MOST_KEPT: usize = 150;
 const MOST_AT_FIRST: usize = 3000;
 
 /// Nodes of rho at the beginning, at a change of regime, and where a combination that was dropped is tried again.
-const NODES: usize = 13;
+const NODES: usize = 31;
 const NODES_REBORN: usize = 4;
 const NODES_AGAIN: usize = 3;
 
@@ -43,6 +36,51 @@ const SWEEP: u32 = 4;
 const ROUND: usize = 8;
 const AGAIN: f64 = 0.2;
 const DROPPED: f64 = 1e-3;
+
+/// How a regime begins anew.
+struct Anew {
+    /// mean of the logarithm of its rate over that of the prior
+    faster: f64,
+    /// spread of it [that of the prior]
+    wider: f64,
+    /// nodes of it
+    nodes: usize,
+    /// shift of the level: standard deviation [share of U]
+    shift: f64,
+    /// whether later changes, and those to a slower rate, are rarer
+    rarer: bool,
+}
+
+/// Of itself.
+const UNTOLD: Anew = Anew {
+    faster: 0.0,
+    wider: 1.0,
+    nodes: NODES_REBORN,
+    shift: 0.0,
+    rarer: true,
+};
+
+/// Because something was done, and the mass of it (assumed).
+const TOLD: (f64, Anew) = (
+    0.6,
+    Anew {
+        faster: 0.0,
+        wider: 2.5,
+        nodes: 13,
+        shift: 0.1,
+        rarer: false,
+    },
+);
+
+/// The same where a lubricant was lost, or something as bad: ten times as fast, or as much again (assumed).
+const LOST: (f64, Anew) = (
+    0.9,
+    Anew {
+        faster: 2.3,
+        wider: 1.5,
+        ..TOLD.1
+    },
+);
 
 /// Mass that a combination needs to be born anew itself.
 const REBORN: f64 = 0.01;
@@ -73,6 +111,20 @@ pub struct Component {
     pub prr: f64,
     /// update at which its regime began; 0 from the start
     pub born: u32,
+    /// jumps that it has seen
+    pub jumps: f64,
+    /// damage that they were together [share of U]
+    pub jumped: f64,
+}
+
+impl Component {
+    /// Variance of rho with what is not known of the size of jumps.
+    pub fn rho_variance(&self) -> f64 {
+        match self.model.wear() {
+            Wear::Jumps(of) => self.prr + of.log_variance(self.jumps, self.jumped),
+            _ => self.prr,
+        }
+    }
 }
 
 /// What one test says of damage [share of U].
@@ -131,6 +183,8 @@ impl Filter {
                     pxr: 0.0,
                     prr,
                     born: 0,
+                    jumps: 0.0,
+                    jumped: 0.0,
                 });
             }
         }
@@ -290,6 +344,21 @@ impl Filter {
 
     /// A share of the mass begins anew with a rate of the prior; law, wear and scatter as learned, or nearly so.
     pub fn rebirth(&mut self, share: f64) {
+        self.begin_anew(share, &UNTOLD);
+    }
+
+    /// Something was done to the unit: a rate that the prior would hardly have, faster or slower, and a level that may have
+    /// shifted.
+    pub fn told(&mut self) {
+        self.begin_anew(TOLD.0, &TOLD.1);
+    }
+
+    /// Something was lost that kept the unit from wearing.
+    pub fn lost(&mut self) {
+        self.begin_anew(LOST.0, &LOST.1);
+    }
+
+    fn begin_anew(&mut self, share: f64, how: &Anew) {
         #[derive(Clone, Copy, Default)]
         struct Sums {
             mass: f64,
@@ -298,6 +367,8 @@ impl Filter {
             xx: f64,
             pxx: f64,
             rho: f64,
+            jumps: f64,
+            jumped: f64,
         }
         let mut sums = [Sums::default(); MODELS];
         for c in &self.components {
@@ -308,6 +379,8 @@ impl Filter {
             s.xx += c.weight * c.x * c.x;
             s.pxx += c.weight * c.pxx;
             s.rho += c.weight * c.rho;
+            s.jumps += c.weight * c.jumps;
+            s.jumped += c.weight * c.jumped;
         }
         let (later, born) = (self.prior.later, self.updates);
         let (x_all, sx_all) = self.damage();
@@ -316,14 +389,20 @@ impl Filter {
         for model in Model::all() {
             let s = sums[model.index()];
             let (mean, sd) = self.prior.rho(model);
+            let (mean, sd) = (mean + how.faster, sd * how.wider);
             if s.mass >= REBORN {
                 // later changes are rarer, and so are those to a slower rate
-                let share = share * (s.first + later * (s.mass - s.first)) / s.mass;
+                let rare = if how.rarer {
+                    (s.first + later * (s.mass - s.first)) / s.mass
+                } else {
+                    1.0
+                };
+                let share = share * rare;
                 let (x, now) = (s.x / s.mass, s.rho / s.mass);
-                let pxx = (s.xx / s.mass - x * x).max(0.0) + s.pxx / s.mass;
-                let rarer = |rho: f64| if rho < now { SLOWER } else { 1.0 };
-                let total: f64 = nodes(mean, sd, NODES_REBORN).map(|(w, rho, _)| w * rarer(rho)).sum();
-                for (w, rho, prr) in nodes(mean, sd, NODES_REBORN) {
+                let pxx = (s.xx / s.mass - x * x).max(0.0) + s.pxx / s.mass + how.shift * how.shift;
+                let rarer = |rho: f64| if how.rarer && rho < now { SLOWER } else { 1.0 };
+                let total: f64 = nodes(mean, sd, how.nodes).map(|(w, rho, _)| w * rarer(rho)).sum();
+                for (w, rho, prr) in nodes(mean, sd, how.nodes) {
                     let weight = w * rarer(rho) / total.max(0.3) * s.mass * share;
                     young.push(Component {
                         model,
@@ -334,6 +413,8 @@ impl Filter {
                         pxr: 0.0,
                         prr,
                         born,
+                        jumps: s.jumps / s.mass,
+                        jumped: s.jumped / s.mass,
                     });
                 }
             } else if s.mass < DROPPED && model.index() % ROUND == self.sweeps % ROUND {
@@ -349,10 +430,13 @@ impl Filter {
                         pxr: 0.0,
                         prr,
                         born,
+                        jumps: 0.0,
+                        jumped: 0.0,
                     });
                 }
             }
         }
+        let later = if how.rarer { later } else { 1.0 };
         for c in &mut self.components {
             if sums[c.model.index()].mass >= REBORN {
                 c.weight *= 1.0 - if c.born == 0 { share } else { share * later };
@@ -380,7 +464,7 @@ impl Filter {
 
     /// Mean and standard deviation of rho.
     pub fn rho(&self) -> (f64, f64) {
-        self.moments_of(|c| (c.rho, c.prr))
+        self.moments_of(|c| (c.rho, c.rho_variance()))
     }
 
     /// Mean and standard deviation of something that a component has with a mean and a variance.
@@ -395,7 +479,19 @@ impl Filter {
 
     /// Mean and standard deviation of the logarithm of the growth of damage [1 / unit of the clock].
     pub fn log_rate(&self) -> (f64, f64) {
-        self.moments_of(|c| (c.rho + self.laws.of(c.model).rate(c.x).max(1e-300).ln(), c.prr))
+        self.moments_of(|c| {
+            let log = c.rho + self.laws.of(c.model).rate(c.x).max(1e-300).ln();
+            (log, c.rho_variance())
+        })
+    }
+
+    /// Probability that the logarithm of the growth of damage is above a bound [1 / unit of the clock].
+    pub fn above_log_rate(&self, bound: f64) -> f64 {
+        let above = |c: &Component| {
+            let log = c.rho + self.laws.of(c.model).rate(c.x).max(1e-300).ln();
+            c.weight * normal_cdf((log - bound) / c.rho_variance().sqrt())
+        };
+        self.components.iter().map(above).sum()
     }
 
     /// Mass by family of laws.
@@ -425,54 +521,6 @@ impl Filter {
     }
 }
 
-/// Growth and one reading: the likelihood, the probability of a wrong diagnosis, the innovation [standard deviations].
-fn read(
-    c: &mut Component,
-    law: &super::law::Law,
-    s: f64,
-    dt: f64,
-    interval: f64,
-    reading: Option<Reading>,
-) -> (f64, f64, f64) {
-    let (grown, a, b) = law.grow(c.x, s);
-    let rise = (grown - c.x).max(0.0);
-    let prr = c.prr + c.model.volatility().powi(2) * s;
-    let wear = c.model.wear();
-    let variance = match wear {
-        Wear::Smooth(kappa) => kappa * rise,
-        Wear::Gamma(cv) => cv * cv * rise * rise * (interval / dt.max(1e-12)),
-        Wear::Jumps(size) => 2.0 * size * rise,
-    };
-    match reading {
-        None => {
-            propagate(c, grown, a, b, variance, prr);
-            (1.0, 0.0, 0.0)
-        }
-        Some(Reading::Above(bound)) => {
-            propagate(c, grown, a, b, variance, prr);
-            (censored(c, bound), 0.0, 0.0)
-        }
-        Some(Reading::Damage { y, sd, level }) => {
-            let noise = c.model.noise();
-            let r = (noise.of_stated * sd).powi(2) + (noise.of_level * level).powi(2);
-            match wear {
-                Wear::Jumps(size) if c.pxx + r < size * size => {
-                    c.prr = prr;
-                    jumping(c, y, r, rise / size, size)
-                }
-                Wear::Gamma(_) if c.pxx + r < 0.25 * variance && dt > 0.0 => {
-                    c.prr = prr;
-                    gamma(c, y, r, rise, variance)
-                }
-                _ => {
-                    propagate(c, grown, a, b, variance, prr);
-                    gaussian(c, y, r, RARE_JUMPS * s)
-                }
-            }
-        }
-    }
-}
-
 /// A normal distribution as a sum of `n` narrower ones: weights, means, variances.
 fn nodes(mean: f64, sd: f64, n: usize) -> impl Iterator<Item = (f64, f64, f64)> {
     // over +- 2.4 sd; as broad as makes them overlap, and the sum's variance right
@@ -485,14 +533,8 @@ fn nodes(mean: f64, sd: f64, n: usize) -> impl Iterator<Item = (f64, f64, f64)> 
     (0..n).map(move |i| (density(i) / total, at(i), width * width))
 }
 
-fn propagate(c: &mut Component, grown: f64, a: f64, b: f64, variance: f64, prr: f64) {
-    c.pxx = a * a * c.pxx + 2.0 * a * b * c.pxr + b * b * c.prr + variance;
-    c.pxr = a * c.pxr + b * c.prr;
-    (c.x, c.prr) = (grown, prr);
-}
-
 /// Two components as one of the same mean and covariance.
-fn matched(k: &Component, c: &Component) -> Component {
+pub(super) fn matched(k: &Component, c: &Component) -> Component {
     let w = k.weight + c.weight;
     let (f, g) = (k.weight / w, c.weight / w);
     let (dx, dr) = (c.x - k.x, c.rho - k.rho);
@@ -505,189 +547,7 @@ fn matched(k: &Component, c: &Component) -> Component {
         pxr: f * k.pxr + g * c.pxr + f * g * dx * dr,
         prr: f * k.prr + g * c.prr + f * g * dr * dr,
         born: if c.weight > k.weight { c.born } else { k.born },
+        jumps: f * k.jumps + g * c.jumps,
+        jumped: f * k.jumped + g * c.jumped,
     }
-}
-
-/// Branches, whose weights are their likelihoods, as one; and the whole likelihood.
-fn joined<const N: usize>(c: &mut Component, parts: [Component; N]) -> f64 {
-    let total: f64 = parts.iter().map(|p| p.weight).sum();
-    if !(total > 1e-290 && total.is_finite()) {
-        return 0.0;
-    }
-    let mut parts = parts.iter().filter(|p| p.weight > 1e-9 * total);
-    if let Some(first) = parts.next() {
-        let all = parts.fold(*first, |m, p| matched(&m, p));
-        *c = Component {
-            weight: c.weight,
-            ..all
-        };
-    }
-    total
-}
-
-/// Regular, jump or wrong, by normal distributions.
-fn gaussian(c: &mut Component, y: f64, r: f64, jump: f64) -> (f64, f64, f64) {
-    let e = y - c.x;
-    let s = c.pxx + r;
-    let z = e / s.sqrt();
-    let regular = (1.0 - WRONG - jump) * log_normal(e, s).exp();
-    let (kx, kr) = (c.pxx / s, c.pxr / s);
-    let followed = Component {
-        weight: regular,
-        x: c.x + kx * e,
-        rho: c.rho + kr * e,
-        pxx: c.pxx - kx * c.pxx,
-        pxr: c.pxr - kx * c.pxr,
-        prr: c.prr - kr * c.pxr,
-        ..*c
-    };
-    if z.abs() < 2.5 {
-        *c = Component {
-            weight: c.weight,
-            ..followed
-        };
-        return (regular, 0.0, z);
-    }
-    let wrong = WRONG * log_normal(e, s + WRONG_SD * WRONG_SD).exp();
-    let broad = s + RARE_SIZE * RARE_SIZE;
-    let pxx = c.pxx + RARE_SIZE * RARE_SIZE;
-    let k = pxx / broad;
-    let jumped = Component {
-        weight: if e > 0.0 {
-            jump * log_normal(e - RARE_SIZE, broad).exp()
-        } else {
-            0.0
-        },
-        x: c.x + RARE_SIZE + k * (e - RARE_SIZE),
-        pxx: pxx - k * pxx,
-        pxr: 0.0,
-        ..*c
-    };
-    let total = joined(c, [followed, Component { weight: wrong, ..*c }, jumped]);
-    (total, if total > 0.0 { wrong / total } else { 0.0 }, z)
-}
-
-/// Gamma increments that are seen much more finely than they scatter, or a wrong diagnosis. The rate is learned as the
-/// scale of a gamma variable, whose score is linear in the increment: increments more regular than the model's mislead
-/// not. Mode and curvature of the posterior of rho (Laplace).
-fn gamma(c: &mut Component, y: f64, r: f64, rise: f64, variance: f64) -> (f64, f64, f64) {
-    let e = y - c.x;
-    let s = c.pxx + r;
-    let sd = s.sqrt();
-    let shape = (rise * rise / variance).max(1e-3);
-    // an increment within the noise is taken for one of the noise's size
-    let d = e.max(0.5 * sd);
-    let reading = shape * d / rise;
-    // prior variance prr, ln likelihood -shape delta - reading exp(-delta)
-    let mut delta = 0.0;
-    for _ in 0..3 {
-        let fall = reading * f64::exp(-delta);
-        let slope = -delta / c.prr - shape + fall;
-        delta += (slope / (1.0 / c.prr + fall.max(0.3 * shape))).clamp(-1.5, 1.5);
-    }
-    let fall = reading * f64::exp(-delta);
-    let prr = 1.0 / (1.0 / c.prr + fall.max(0.3 * shape));
-    let laplace = 0.5 * (prr / c.prr).ln() - 0.5 * delta * delta / c.prr;
-    let log = shape * (shape / rise).ln() + (shape - 1.0) * d.ln() - ln_gamma(shape) - shape * delta - fall + laplace;
-    let within = (e - 0.5 * sd).min(0.0) / sd;
-    let some = (1.0 - WRONG) * (log - 0.5 * within * within).exp();
-    let wrong = WRONG * log_normal(e, s + WRONG_SD * WRONG_SD).exp();
-    let z = (e - rise) / (variance + s).sqrt();
-    let moved = Component {
-        weight: some,
-        x: y,
-        pxx: r,
-        pxr: 0.0,
-        rho: c.rho + delta,
-        prr,
-        ..*c
-    };
-    let stayed = Component {
-        weight: wrong,
-        x: c.x + rise,
-        pxx: c.pxx + variance,
-        pxr: 0.0,
-        ..*c
-    };
-    let total = joined(c, [moved, stayed]);
-    (total, if total > 0.0 { wrong / total } else { 0.0 }, z)
-}
-
-/// No jump, jumps, or a wrong diagnosis: compound Poisson wear that is seen much more finely than a jump.
-/// * `count` jumps that are expected since the last reading
-fn jumping(c: &mut Component, y: f64, r: f64, count: f64, size: f64) -> (f64, f64, f64) {
-    let e = y - c.x;
-    let s = c.pxx + r;
-    let sd = s.sqrt();
-    let z = e / sd;
-    let none = (1.0 - WRONG) * (-count + log_normal(e, s)).exp();
-    // density of at least one jump, and how many there were
-    let (density, n) = if e > 3.0 * sd {
-        let b = 2.0 * (count * e / size).sqrt();
-        if b > 1e-6 {
-            let (i0, i1) = bessel_scaled(b);
-            (
-                (b - count - e / size).exp() * (count / (size * e)).sqrt() * i1,
-                0.5 * b * i0 / i1,
-            )
-        } else {
-            (count / size * (-e / size).exp(), 1.0)
-        }
-    } else {
-        // one exponential under the noise
-        let tail = (0.5 * s / (size * size) - e / size).exp() / size;
-        (
-            count * (-count).exp() * tail * 0.5 * erfc((sd / size - z) / std::f64::consts::SQRT_2),
-            1.0,
-        )
-    };
-    let some = (1.0 - WRONG) * density;
-    let wrong = WRONG * log_normal(e, s + WRONG_SD * WRONG_SD).exp();
-    // their number is what is learned of the rate
-    let information = count * (1.0 - 0.5 * count / (1.0 + count));
-    let prr = 1.0 / (1.0 / c.prr + information);
-    let most = 1.5 * c.prr.sqrt();
-    let learned = |n: f64| c.rho + (prr * (n - count)).clamp(-most, most);
-    let k = c.pxx / s;
-    let rested = Component {
-        weight: none,
-        x: c.x + k * e,
-        pxx: c.pxx - k * c.pxx,
-        pxr: 0.0,
-        rho: learned(0.0),
-        prr,
-        ..*c
-    };
-    let moved = Component {
-        weight: some,
-        x: y,
-        pxx: r,
-        pxr: 0.0,
-        rho: learned(n),
-        prr,
-        ..*c
-    };
-    let stayed = Component {
-        weight: wrong,
-        pxx: c.pxx + 2.0 * size * size * count,
-        ..*c
-    };
-    let total = joined(c, [rested, moved, stayed]);
-    (total, if total > 0.0 { wrong / total } else { 0.0 }, z)
-}
-
-/// Damage is above `bound`: the likelihood. The component becomes the normal of the same moments.
-fn censored(c: &mut Component, bound: f64) -> f64 {
-    let sd = c.pxx.sqrt().max(1e-9);
-    let a = (bound - c.x) / sd;
-    let above = normal_cdf(-a).max(1e-12);
-    let ratio = (-0.5 * a * a).exp() / (2.0 * std::f64::consts::PI).sqrt() / above;
-    let (dx, left) = (sd * ratio, (1.0 - ratio * (ratio - a)).clamp(0.02, 1.0));
-    let k = c.pxr / c.pxx.max(1e-18);
-    c.rho += k * dx;
-    c.prr -= k * c.pxr * (1.0 - left);
-    c.x = (c.x + dx).min(MOST);
-    c.pxr *= left;
-    c.pxx *= left;
-    above
 }

@@ -1,18 +1,17 @@
 //! What a fleet teaches: a prior, lives to compare with, shares of the forecasts, and where past truths lay within them.
 
 use super::filter::Filter;
-use super::forecast::{Horizon, crps, forecast, quantile};
+use super::forecast::{Changes, Horizon, forecast, quantile};
+use super::past::{self, FORECASTS, Look, Past, alike, distances, places, rounded, weights};
 use super::prior::{MODELS, Model, Prior};
 use super::similar::{Kernel, Life, Likeness, similar};
 use super::special::evenly;
 use super::track::Track;
 use serde::{Deserialize, Serialize};
-use std::sync::OnceLock;
 
 /// Bands of the damage seen [share of U]: what is known at the time, so that what is learned by them may be promised.
 const BANDS: [f64; 2] = [0.15, 0.45];
 const N_BANDS: usize = 3;
-const N_GROUPS: usize = Model::GROUPS.len();
 
 /// Finished lives from which intervals are calibrated.
 pub const CALIBRATED: usize = 20;
@@ -28,11 +27,14 @@ pub fn is_compared(lives: usize, unseen: f64) -> bool {
     lives >= COMPARED && unseen <= MOST_UNSEEN
 }
 
-/// Changes of regime in a usual life that forecasts reckon with: where no fleet is known, and of the two forecasts that a
-/// fleet weighs (assumed).
-const AHEAD: f64 = 1.0;
-const AHEAD_OFTEN: f64 = 2.5;
-const AHEAD_SELDOM: f64 = 0.5;
+/// Changes of regime in a usual life that forecasts reckon with: of the three forecasts that a fleet weighs (assumed).
+const SELDOM: Changes = Changes::even(0.5);
+const OFTEN: Changes = Changes::even(2.5);
+const SOON: Changes = Changes::even(8.0);
+
+/// Worn units lived on for longer than was foretold of them without a fleet: the share p of a forecast is told as p to this
+/// power (by simulated lives; assumed for others).
+const CALMER: f64 = 0.85;
 
 /// Samples of a forecast.
 const SAMPLES: usize = 400;
@@ -40,37 +42,28 @@ const SAMPLES: usize = 400;
 /// A forecast looks so many usual lives ahead; later is never.
 const LIVES_AHEAD: f64 = 10.0;
 
-/// Steps of the shares that are tried; units of the whole band that a group's own are shrunk to, of scores and of places;
-/// units of a uniform distribution that places are shrunk to (assumed).
-const STEPS: usize = 5;
-const UNITS_OF_BAND: f64 = 10.0;
-const UNITS_UNIFORM: f64 = 5.0;
-
-/// Shares of the interval's missing mass that may lie below it.
+/// Masses that may lie below the lower and below the upper end of an interval.
 const TAILS: [f64; 5] = [0.05, 0.04, 0.03, 0.02, 0.01];
+const UPPERS: [f64; 16] = [
+    0.8, 0.82, 0.84, 0.86, 0.88, 0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98, 0.99, 1.0,
+];
 
 /// Coverage of intervals of the time left.
 pub const COVERAGE: f64 = 0.9;
 
-/// What choosing shares and tails on the same lives costs: an interval is taken for so much more, over the number of lives
-/// (assumed).
+/// What choosing shares and ends on the same lives costs: an interval is taken for so much more, over the number of lives, and
+/// for so much at most (assumed).
 const CHOSEN: f64 = 1.0;
+const MOST_CHOSEN: f64 = 0.03;
 
-/// Forecasts that are weighed: reckoning with many changes, with few, lives that were alike, and very much so.
-const FORECASTS: usize = 4;
+/// Ends of the interval where nothing was learned; units of jumps that those of even wear are shrunk to, and the other way round
+/// (assumed).
+const USUAL_ENDS: (f64, f64) = (0.05, 0.95);
+const UNITS_OF_OTHERS: f64 = 15.0;
 
-/// Where a past truth lay.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Place {
-    /// band of the damage seen
-    pub band: u8,
-    /// group of wears
-    pub group: u8,
-    /// share of the forecast below the truth
-    pub below: f64,
-    /// weight: the places of a unit in a band together have 1
-    pub weight: f64,
-}
+/// Shares of the forecasts where nothing was learned of them: without lives to compare with, and with them (assumed).
+const USUAL: [f64; FORECASTS] = [0.3, 0.6, 0.1, 0.0, 0.0];
+const USUAL_COMPARED: [f64; FORECASTS] = [0.2, 0.5, 0.0, 0.1, 0.2];
 
 /// What was learned of one fault of a fleet.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -92,15 +85,10 @@ pub struct Fleet {
     /// share of lives that is longer than any that ended (Kaplan and Meier 1958)
     #[serde(default)]
     pub unseen: f64,
-    /// shares of the forecasts by band and group
-    pub shares: Vec<Vec<[f64; FORECASTS]>>,
-    /// where past truths lay
-    pub places: Vec<Place>,
-    /// mass below the interval by band
-    pub tails: Vec<f64>,
-    /// quantiles of the places by band and group, worked out when they are first asked for
-    #[serde(skip)]
-    quantiles: OnceLock<Vec<Vec<Vec<f64>>>>,
+    /// past forecasts, and what came of them; those of one unit stand together
+    pub pasts: Vec<Past>,
+    /// mass below the lower and below the upper end of the interval, by band; of even wear, then of wear by jumps
+    pub ends: Vec<[(f64, f64); 2]>,
 }
 
 /// The distribution of the time left, as it is promised.
@@ -122,7 +110,9 @@ pub struct Shot {
     /// unit
     pub unit: usize,
     band: usize,
-    group: usize,
+    by_jumps: bool,
+    look: Look,
+    middle: f64,
     sets: [Vec<f64>; FORECASTS],
     /// what was left in truth
     pub truth: f64,
@@ -155,12 +145,11 @@ fn band(x: f64) -> usize {
 
 /// How far a forecast looks [units of the clock].
 fn horizon(prior: &Prior) -> f64 {
-    let n = prior.rho_mean.len() as f64;
-    LIVES_AHEAD * (-prior.rho_mean.iter().sum::<f64>() / n).exp()
+    LIVES_AHEAD * prior.usual_life()
 }
 
 /// Forecast of a unit's filter alone.
-fn of_filter(track: &Track, ahead: f64) -> Vec<f64> {
+fn of_filter(track: &Track, ahead: Changes) -> Vec<f64> {
     // what of the stated uncertainty does not scatter is the unit's own, and the same at the threshold
     let common = track.stated * (1.0 - track.filter.scatter_share()).max(0.0).sqrt();
     let most = horizon(track.filter.prior());
@@ -178,10 +167,15 @@ fn of_filter(track: &Track, ahead: f64) -> Vec<f64> {
 
 /// The time left where no fleet is known: the shortest interval, not calibrated.
 pub fn without_fleet(track: &Track) -> Left {
-    Left::of(of_filter(track, AHEAD), None, horizon(track.filter.prior()))
+    let times = of_filter(track, Changes::UNKNOWN);
+    let late = band(track.filter.damage().0) + 1 == N_BANDS;
+    let n = times.len() as f64;
+    let place = |i: usize| ((i as f64 + 0.5) / n).powf(if late { CALMER } else { 1.0 });
+    let times = (0..times.len()).map(|i| quantile(&times, place(i))).collect();
+    Left::of(times, None, horizon(track.filter.prior()))
 }
 
-/// Mixture of sets of ascending samples by their shares, as ascending samples. An empty set leaves its share to others.
+/// Mixture of sets of ascending samples by their shares, as ascending samples.
 fn mixture(sets: &[Vec<f64>; FORECASTS], shares: &[f64; FORECASTS], samples: usize) -> Vec<f64> {
     let present = || sets.iter().zip(shares).filter(|(s, w)| !s.is_empty() && **w > 0.0);
     let total: f64 = present().map(|(_, w)| w).sum();
@@ -259,27 +253,48 @@ impl Gathered {
 /// A past forecast: `track` up to some test, with the lives of others.
 /// * `truth` what was left in truth [units of the clock]
 pub fn shot<'a>(unit: usize, track: &Track, lives: impl Iterator<Item = &'a Life>, truth: f64) -> Shot {
-    let x = track.filter.damage().0;
+    let sets = sets(track, lives);
     Shot {
         unit,
-        band: band(x),
-        group: track.group(),
-        sets: sets(track, lives),
+        band: band(track.filter.damage().0),
+        by_jumps: by_jumps(track),
+        look: Look::of(track),
+        middle: middle(track, &sets),
+        sets,
         truth,
     }
 }
 
+/// Whether a unit wears by jumps, most probably.
+fn by_jumps(track: &Track) -> bool {
+    track.group() + 1 == Model::GROUPS.len()
+}
+
+/// Geometric mean of a unit's age and of what is foretold [units of the clock].
+fn middle(track: &Track, sets: &[Vec<f64>; FORECASTS]) -> f64 {
+    let median = quantile(&sets[1], 0.5).min(horizon(track.filter.prior()));
+    (past::age(track) * median.max(1e-9)).sqrt()
+}
+
+/// All forecasts but that of units that stood where this one stands. Where no lives can be compared with, their place is
+/// taken by the second one.
 fn sets<'a>(track: &Track, lives: impl Iterator<Item = &'a Life>) -> [Vec<f64>; FORECASTS] {
     let alike = match track.is_from_new() {
         true => Likeness::of(&track.life, lives),
         false => Vec::new(),
     };
-    [
-        of_filter(track, AHEAD_OFTEN),
-        of_filter(track, AHEAD_SELDOM),
-        similar(&alike, Kernel::BROAD, SAMPLES),
+    let mut out = [
+        of_filter(track, SELDOM),
+        of_filter(track, OFTEN),
+        of_filter(track, SOON),
         similar(&alike, Kernel::NARROW, SAMPLES),
-    ]
+        Vec::new(),
+    ];
+    out[4] = out[1].clone();
+    if out[3].is_empty() {
+        out[3] = out[1].clone();
+    }
+    out
 }
 
 impl Fleet {
@@ -294,12 +309,6 @@ impl Fleet {
         (lives, censored, unseen): (Vec<Life>, usize, f64),
         shots: &[Shot],
     ) -> Self {
-        let compared = is_compared(lives.len(), unseen);
-        let usual = if compared {
-            [0.6, 0.2, 0.2, 0.0]
-        } else {
-            [0.7, 0.3, 0.0, 0.0]
-        };
         let mut f = Self {
             fault: fault.into(),
             healthy,
@@ -309,59 +318,99 @@ impl Fleet {
             lives,
             censored,
             unseen,
-            shares: vec![vec![usual; N_GROUPS]; N_BANDS],
-            places: Vec::new(),
-            tails: vec![TAILS[0]; N_BANDS],
-            quantiles: OnceLock::new(),
+            pasts: Vec::new(),
+            ends: vec![[USUAL_ENDS; 2]; N_BANDS],
         };
-        if !compared || shots.is_empty() {
-            return f;
+        if is_compared(f.lives.len(), unseen) && !shots.is_empty() {
+            f.replay(shots);
         }
-        f.shares = best_shares(shots, horizon(&f.prior));
-        f.places = f.places_of(shots);
-        f.tails = f.narrowest(shots);
         f
+    }
+
+    fn usual(&self) -> &'static [f64; FORECASTS] {
+        match is_compared(self.lives.len(), self.unseen) {
+            true => &USUAL_COMPARED,
+            false => &USUAL,
+        }
+    }
+
+    /// Learns of past forecasts, each by those of the other units.
+    fn replay(&mut self, shots: &[Shot]) {
+        let most = horizon(&self.prior);
+        let bare = |s: &Shot| Past {
+            unit: s.unit as u32,
+            look: s.look,
+            longer: rounded((s.truth.max(1e-9) / s.middle).ln()),
+            below: 0.5,
+            off: Default::default(),
+            apart: Default::default(),
+        };
+        let mut pasts: Vec<Past> = shots.iter().map(bare).collect();
+        let near: Vec<Vec<f64>> = pasts.iter().map(|p| weights(&pasts, &p.look, Some(p.unit))).collect();
+        let sets = |s: &Shot, near: &[f64]| {
+            let mut sets = s.sets.clone();
+            sets[4] = alike(&pasts, near, s.middle, Some(s.unit as u32), SAMPLES);
+            if sets[4].is_empty() {
+                sets[4] = sets[1].clone();
+            }
+            sets
+        };
+        let sets: Vec<[Vec<f64>; FORECASTS]> = shots.iter().zip(&near).map(|(s, n)| sets(s, n)).collect();
+        for ((p, s), shot) in pasts.iter_mut().zip(&sets).zip(shots) {
+            (p.off, p.apart) = distances(s, shot.truth, most);
+        }
+        let mixed: Vec<Vec<f64>> = shots
+            .iter()
+            .zip(&near)
+            .zip(&sets)
+            .map(|((s, n), sets)| {
+                let shares = past::shares(&pasts, n, self.usual(), Some(s.unit as u32));
+                mixture(sets, &shares, SAMPLES)
+            })
+            .collect();
+        for ((p, m), s) in pasts.iter_mut().zip(&mixed).zip(shots) {
+            p.below = rounded(m.iter().filter(|t| **t < s.truth).count() as f64 / m.len().max(1) as f64);
+        }
+        self.pasts = pasts;
+        let placed = shots.iter().zip(&near).zip(&mixed);
+        let placed = placed.map(|((s, n), m)| (s, self.placed(n, m, Some(s.unit as u32))));
+        let placed: Vec<(&Shot, Vec<f64>)> = placed.collect();
+        let ends = |b: usize| [false, true].map(|jumps| narrowest(&placed, b, jumps, most));
+        self.ends = (0..N_BANDS).map(ends).collect();
     }
 
     /// Whether intervals are calibrated: lives enough stand behind them.
     pub fn is_calibrated(&self) -> bool {
-        self.lives.len() >= CALIBRATED && !self.places.is_empty()
+        self.lives.len() >= CALIBRATED && !self.pasts.is_empty()
     }
 
     /// Whether a file holds what a fleet must: masses, lives and shares of this program's axes.
     pub fn is_sound(&self) -> bool {
-        let share = |s: &[f64; FORECASTS]| s.iter().all(|w| (0.0..=1.0).contains(w)) && s.iter().sum::<f64>() > 0.5;
-        let place = |p: &Place| {
-            (p.band as usize) < N_BANDS
-                && (p.group as usize) < N_GROUPS
-                && (0.0..=1.0).contains(&p.below)
-                && (0.0..=1.0).contains(&p.weight)
-        };
         self.prior.is_sound()
             && self.threshold.is_finite()
             && (0.0..=1.0).contains(&self.unseen)
             && self.lives.iter().all(Life::is_sound)
-            && self.shares.len() == N_BANDS
-            && self.shares.iter().all(|b| b.len() == N_GROUPS && b.iter().all(share))
-            && self.places.iter().all(place)
-            && self.tails.len() == N_BANDS
-            && self.tails.iter().all(|t| (0.0..=0.1).contains(t))
+            && self.pasts.iter().all(Past::is_sound)
+            && self.ends.len() == N_BANDS
+            && self.ends.iter().flatten().all(|(a, b)| 0.0 <= *a && a < b && *b <= 1.0)
     }
 
     /// The time left of a unit.
     pub fn left(&self, track: &Track) -> Left {
         let compared = is_compared(self.lives.len(), self.unseen);
         let lives = self.lives.iter().filter(|_| compared);
-        let (b, g) = (band(track.filter.damage().0), track.group());
-        let mixed = mixture(&sets(track, lives), &self.shares[b][g], SAMPLES);
+        let b = band(track.filter.damage().0);
+        let mut sets = sets(track, lives);
         let horizon = horizon(&self.prior);
-        if self.places.is_empty() {
-            return Left::of(mixed, None, horizon);
+        if self.pasts.is_empty() {
+            return Left::of(mixture(&sets, self.usual(), SAMPLES), None, horizon);
         }
-        let times = self.placed(b, g, &mixed);
-        let more = (CHOSEN / self.lives.len() as f64).min(0.05);
-        let tail = self.tails[b] * (1.0 - more / (1.0 - COVERAGE));
-        let interval = (quantile(&times, tail), quantile(&times, tail + COVERAGE + more));
+        let near = weights(&self.pasts, &Look::of(track), None);
+        sets[4] = alike(&self.pasts, &near, middle(track, &sets), None, SAMPLES);
+        let shares = past::shares(&self.pasts, &near, self.usual(), None);
+        let times = self.placed(&near, &mixture(&sets, &shares, SAMPLES), None);
+        let (lower, upper) = self.ends[b][usize::from(by_jumps(track))];
+        let interval = (quantile(&times, lower), quantile(&times, upper));
         Left {
             times,
             interval,
@@ -371,114 +420,44 @@ impl Fleet {
     }
 
     /// Samples as the places of past truths have them.
-    fn placed(&self, b: usize, g: usize, mixed: &[f64]) -> Vec<f64> {
-        let all = || (0..N_BANDS).map(|b| (0..N_GROUPS).map(|g| self.quantiles(b, g)).collect());
-        let places = &self.quantiles.get_or_init(|| all().collect())[b][g];
+    fn placed(&self, near: &[f64], mixed: &[f64], without: Option<u32>) -> Vec<f64> {
+        let places = places(&self.pasts, near, without, SAMPLES);
         places.iter().map(|p| quantile(mixed, *p)).collect()
-    }
-
-    /// Quantiles of the places of past truths in a band, those of a group first of all: distributional conformal prediction
-    /// (Chernozhukov, Wuthrich and Zhu 2021), over units.
-    fn quantiles(&self, b: usize, g: usize) -> Vec<f64> {
-        let mut of: Vec<&Place> = self.places.iter().filter(|p| p.band as usize == b).collect();
-        of.sort_by(|a, b| a.below.total_cmp(&b.below));
-        let total: f64 = of.iter().map(|p| p.weight).sum();
-        let own: f64 = of.iter().filter(|p| p.group as usize == g).map(|p| p.weight).sum();
-        let mut out = Vec::with_capacity(SAMPLES);
-        let (mut i, mut all, mut group) = (0, 0.0, 0.0);
-        const FINE: usize = 4000;
-        for k in 0..=FINE {
-            let p = k as f64 / FINE as f64;
-            while i < of.len() && of[i].below <= p {
-                all += of[i].weight;
-                group += if of[i].group as usize == g { of[i].weight } else { 0.0 };
-                i += 1;
-            }
-            let whole = (all + UNITS_UNIFORM * p) / (total + UNITS_UNIFORM);
-            let f = (group + UNITS_OF_BAND * whole) / (own + UNITS_OF_BAND);
-            while out.len() < SAMPLES && (out.len() as f64 + 0.5) / SAMPLES as f64 <= f {
-                out.push(p);
-            }
-        }
-        out.resize(SAMPLES, 1.0);
-        out
-    }
-
-    fn mixed(&self, s: &Shot) -> Vec<f64> {
-        mixture(&s.sets, &self.shares[s.band][s.group], SAMPLES)
-    }
-
-    fn places_of(&self, shots: &[Shot]) -> Vec<Place> {
-        let count = |s: &Shot| shots.iter().filter(|o| o.unit == s.unit && o.band == s.band).count() as f64;
-        let place = |s: &Shot| {
-            let m = self.mixed(s);
-            let below = m.iter().filter(|t| **t < s.truth).count() as f64 / m.len().max(1) as f64;
-            Place {
-                band: s.band as u8,
-                group: s.group as u8,
-                below,
-                weight: 1.0 / count(s),
-            }
-        };
-        shots.iter().map(place).collect()
-    }
-
-    /// The mass below the interval, by band, that makes it narrowest.
-    fn narrowest(&self, shots: &[Shot]) -> Vec<f64> {
-        let most = horizon(&self.prior);
-        let mut widths = [[0.0; TAILS.len()]; N_BANDS];
-        for s in shots {
-            let times = self.placed(s.band, s.group, &self.mixed(s));
-            for (w, tail) in widths[s.band].iter_mut().zip(TAILS) {
-                *w += (quantile(&times, tail + COVERAGE).min(most) - quantile(&times, tail)) / s.truth.max(1e-9);
-            }
-        }
-        let best = |w: &[f64; TAILS.len()]| {
-            let i = (0..TAILS.len()).min_by(|a, b| w[*a].total_cmp(&w[*b])).unwrap_or(0);
-            TAILS[i]
-        };
-        widths.iter().map(best).collect()
     }
 }
 
-/// Shares by band and group that made the past forecasts best, by their scores over the truth.
-fn best_shares(shots: &[Shot], most: f64) -> Vec<Vec<[f64; FORECASTS]>> {
-    let step = |k: usize| k as f64 / STEPS as f64;
-    let mut tried: Vec<[f64; FORECASTS]> = Vec::new();
-    for a in 0..=STEPS {
-        for b in 0..=STEPS - a {
-            for c in 0..=STEPS - a - b {
-                tried.push([step(a), step(b), step(c), step(STEPS - a - b - c)]);
+/// Masses below the ends of the interval that would have held [`COVERAGE`] of a band's past truths, a unit's together as one, and
+/// would have been the narrowest over the truth: of those of one kind of wear, with so many units of the other.
+fn narrowest(placed: &[(&Shot, Vec<f64>)], band: usize, by_jumps: bool, most: f64) -> (f64, f64) {
+    let of: Vec<&(&Shot, Vec<f64>)> = placed.iter().filter(|p| p.0.band == band).collect();
+    let count = |unit: usize| of.iter().filter(|p| p.0.unit == unit).count() as f64;
+    let mut weights: Vec<f64> = of.iter().map(|p| 1.0 / count(p.0.unit)).collect();
+    let is_other = |i: usize| of[i].0.by_jumps != by_jumps;
+    let others: f64 = (0..of.len()).filter(|i| is_other(*i)).map(|i| weights[i]).sum();
+    for (i, w) in weights.iter_mut().enumerate() {
+        *w *= if is_other(i) {
+            (UNITS_OF_OTHERS / others).min(1.0)
+        } else {
+            1.0
+        };
+    }
+    let total: f64 = weights.iter().sum();
+    let asked = COVERAGE + (CHOSEN / total.max(1.0)).min(MOST_CHOSEN);
+    let mut best: Option<((f64, f64), f64)> = None;
+    for lower in TAILS {
+        for upper in UPPERS {
+            let (mut held, mut width) = (0.0, 0.0);
+            for ((s, times), w) in of.iter().zip(&weights) {
+                let (lo, hi) = (quantile(times, lower), quantile(times, upper));
+                held += if (lo..=hi).contains(&s.truth) { *w } else { 0.0 };
+                width += w * (hi.min(most) - lo) / s.truth.max(1e-9);
+            }
+            if held >= asked * total && best.is_none_or(|b| width < b.1) {
+                best = Some(((lower, upper), width));
             }
         }
     }
-    let score = |s: &Shot, w: &[f64; FORECASTS]| crps(&mixture(&s.sets, w, 100), s.truth, most) / s.truth.max(1e-9);
-    let scores: Vec<Vec<f64>> = shots
-        .iter()
-        .map(|s| tried.iter().map(|w| score(s, w)).collect())
-        .collect();
-    let of = |b: usize, g: Option<usize>, k: usize| -> (f64, f64) {
-        let mine = shots
-            .iter()
-            .zip(&scores)
-            .filter(|(s, _)| s.band == b && g.is_none_or(|g| s.group == g));
-        mine.fold((0.0, 0.0), |(sum, n), (_, v)| (sum + v[k], n + 1.0))
-    };
-    let units = shots.iter().map(|s| s.unit).max().map_or(1.0, |u| u as f64 + 1.0);
-    let per_unit = shots.len() as f64 / units / N_BANDS as f64;
-    let best = |b: usize, g: usize| {
-        let cost = |k: usize| {
-            let (all, n) = of(b, None, k);
-            of(b, Some(g), k).0 + UNITS_OF_BAND * per_unit * all / f64::max(n, 1.0)
-        };
-        let k = (0..tried.len())
-            .min_by(|a, c| cost(*a).total_cmp(&cost(*c)))
-            .unwrap_or(0);
-        tried[k]
-    };
-    (0..N_BANDS)
-        .map(|b| (0..N_GROUPS).map(|g| best(b, g)).collect())
-        .collect()
+    best.map_or(USUAL_ENDS, |b| b.0)
 }
 
 #[cfg(test)]
@@ -486,17 +465,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn mixtures_and_places_keep_their_order() {
-        let sets = [vec![1.0, 2.0, 3.0], vec![10.0], vec![], vec![]];
-        let m = mixture(&sets, &[0.5, 0.5, 0.0, 0.0], 10);
+    fn mixtures_keep_their_order() {
+        let sets = [vec![1.0, 2.0, 3.0], vec![10.0], vec![], vec![], vec![]];
+        let m = mixture(&sets, &[0.5, 0.5, 0.0, 0.0, 0.0], 10);
         assert!(m.windows(2).all(|w| w[0] <= w[1]) && m[0] == 1.0 && m[9] == 10.0);
-        let place = |below: f64| Place {
-            band: 0,
-            group: 1,
-            below,
-            weight: 1.0,
-        };
-        let mut f = Fleet::learned(
+        let f = Fleet::learned(
             "fsj",
             Some(1.0),
             4.0,
@@ -506,8 +479,5 @@ mod tests {
             &[],
         );
         assert!(f.is_sound() && !f.is_calibrated());
-        f.places = (0..100).map(|i| place(0.5 + 0.005 * f64::from(i))).collect();
-        let q = f.quantiles(0, 1);
-        assert!(q.windows(2).all(|w| w[0] <= w[1]) && q[200] > 0.7 && q.len() == SAMPLES);
     }
 }

@@ -1,6 +1,7 @@
 //! From the filter's state to the distribution of the time left: samples run forward.
 
 use super::filter::{Component, Filter};
+use super::law::Family;
 use super::prior::{Prior, Wear};
 use super::special::{evenly, normal_quantile};
 
@@ -64,6 +65,37 @@ const LAST: f64 = 0.004;
 /// Growth of the logarithm of the rate that a change of regime brings at least.
 const FASTER: f64 = 0.3;
 
+/// Changes of regime in a usual life: by family of laws, in proportion to the damage that is still to come, and under wear by
+/// jumps whatever the law. Laws that speed up leave less to be explained by changes.
+#[derive(Clone, Copy, Debug)]
+pub struct Changes {
+    by_law: [f64; Family::ALL.len()],
+    jumps: f64,
+}
+
+impl Changes {
+    /// Where no fleet is known (assumed).
+    pub const UNKNOWN: Self = Self {
+        by_law: [1.0, 4.0, 0.7, 0.7, 1.0],
+        jumps: 2.5,
+    };
+
+    /// The same whatever the law.
+    pub const fn even(n: f64) -> Self {
+        Self {
+            by_law: [n; Family::ALL.len()],
+            jumps: n,
+        }
+    }
+
+    fn of(&self, law: Family, wear: Wear, x: f64) -> f64 {
+        match wear {
+            Wear::Jumps(_) => self.jumps,
+            _ => self.by_law[law as usize] * (1.0 - x).clamp(0.05, 1.0),
+        }
+    }
+}
+
 /// What a forecast looks at.
 #[derive(Clone, Copy, Debug)]
 pub struct Horizon {
@@ -73,8 +105,8 @@ pub struct Horizon {
     pub most: f64,
     /// standard deviation of the unit's own error of the threshold [share of U]
     pub common: f64,
-    /// changes of regime in a usual life that are reckoned with
-    pub ahead: f64,
+    /// changes of regime that are reckoned with
+    pub ahead: Changes,
     /// seed of the samples
     pub seed: u64,
 }
@@ -104,11 +136,22 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
     let along = if sx > 0.0 { c.pxr / sx } else { 0.0 };
     let mut x = c.x + sx * z1;
     let mut rho = c.rho + along * z1 + (c.prr - along * along).max(0.0).sqrt() * z2;
+    // of jumps, how many come is known apart from how large they are
+    let size = match c.model.wear() {
+        Wear::Jumps(of) => {
+            let (a, b) = of.scale(c.jumps, c.jumped);
+            let size = f64::from(of.shape) * b / random.gamma(a);
+            rho += (size / of.mean(c.jumps, c.jumped)).ln();
+            size
+        }
+        _ => 0.0,
+    };
     let mut t = 0.0;
     let end = law.spent(threshold);
     let first = if c.born == 0 { 1.0 } else { prior.later };
+    let ahead = h.ahead.of(law.family(), c.model.wear(), c.x);
     // usual lives until the regime changes
-    let mut regime = random.exponential() / (first * h.ahead).max(1e-9);
+    let mut regime = random.exponential() / (first * ahead).max(1e-9);
     for _ in 0..PIECES {
         if x >= threshold {
             return t;
@@ -120,12 +163,12 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
         // the same in lives at this rate
         let quiet = regime * (rate / rate.max(usual)) + 1e-6;
         let s = match c.model.wear() {
-            Wear::Jumps(size) => {
+            Wear::Jumps(of) => {
                 // until the next jump, or a piece of the way
                 let wait = random.exponential() * size / law.rate(x);
                 let piece = wait.min(0.1).min(quiet);
                 if wait <= piece {
-                    x += size * random.exponential();
+                    x += size * random.gamma(f64::from(of.shape)) / f64::from(of.shape);
                 }
                 piece
             }
@@ -138,7 +181,8 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
                 let grown = law.grow(x, s).0 - x;
                 let shape = match wear {
                     Wear::Gamma(cv) => s / rate / (prior.interval * cv * cv),
-                    Wear::Smooth(kappa) | Wear::Jumps(kappa) => grown / kappa,
+                    Wear::Smooth(kappa) => grown / kappa,
+                    Wear::Jumps(_) => 0.0,
                 };
                 x += if shape > 1e-9 {
                     grown * random.gamma(shape) / shape
@@ -153,7 +197,7 @@ fn run(c: &Component, filter: &Filter, threshold: f64, h: &Horizon, random: &mut
         regime -= s * (rate.max(usual) / rate);
         if regime <= 0.0 {
             rho = (mean + sd * random.normal()).max(rho + FASTER);
-            regime = random.exponential() / (prior.later * h.ahead).max(1e-9);
+            regime = random.exponential() / (prior.later * ahead).max(1e-9);
         }
     }
     if x >= threshold { t } else { f64::INFINITY }

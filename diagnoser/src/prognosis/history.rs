@@ -59,6 +59,8 @@ pub struct Row {
 pub enum Happening {
     /// a repair or a replacement: damage begins anew
     Repair,
+    /// a lubricant was lost, dirt came in, it was overloaded: wear is faster from then on
+    Loss,
     /// lubrication, configuration, sensor: the rate, or the level, may be another one
     Change,
 }

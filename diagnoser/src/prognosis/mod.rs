@@ -12,12 +12,14 @@ pub mod forecast;
 pub mod history;
 pub mod law;
 pub mod outlook;
+pub mod past;
 pub mod prior;
 #[cfg(test)]
 mod referees;
 pub mod similar;
 pub mod special;
 pub mod track;
+mod update;
 
 pub use filter::Filter;
 pub use fleet::{Fleet, Left};

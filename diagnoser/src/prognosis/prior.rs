@@ -10,8 +10,44 @@ pub enum Wear {
     Smooth(f64),
     /// gamma process: coefficient of variation of the growth between two tests
     Gamma(f64),
-    /// compound Poisson jumps of exponential size: their mean [share of U]
-    Jumps(f64),
+    /// compound Poisson jumps of gamma sizes, whose scale is learned
+    Jumps(Jumps),
+}
+
+/// Jumps of one kind: gamma sizes of a shape that is a whole number, and what is known of their scale at first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Jumps {
+    /// shape of the sizes; 1: exponential
+    pub shape: u8,
+    /// usual mean size [share of U]
+    pub size: f64,
+}
+
+/// Shape of the inverse gamma distribution of the scale of jumps at first (assumed): known to a factor of two or so.
+const SCALE_SHAPE: f64 = 3.0;
+
+impl Jumps {
+    /// What is known of the scale of a unit's jumps: shape and scale of an inverse gamma distribution, conjugate to the sizes.
+    /// * `seen`, `grown` number of jumps that were seen, and the damage that they were together
+    pub fn scale(&self, seen: f64, grown: f64) -> (f64, f64) {
+        let shape = f64::from(self.shape);
+        (
+            SCALE_SHAPE + shape * seen,
+            (SCALE_SHAPE - 1.0) * self.size / shape + grown,
+        )
+    }
+
+    /// Mean size of a unit's jumps [share of U].
+    pub fn mean(&self, seen: f64, grown: f64) -> f64 {
+        let (a, b) = self.scale(seen, grown);
+        f64::from(self.shape) * b / (a - 1.0)
+    }
+
+    /// Variance of its logarithm (trigamma function, by three terms of its series).
+    pub fn log_variance(&self, seen: f64, grown: f64) -> f64 {
+        let r = 1.0 / self.scale(seen, grown).0;
+        r * (1.0 + r * (0.5 + r / 6.0))
+    }
 }
 
 /// What scatter diagnoses have beside what they state.
@@ -37,18 +73,17 @@ const LAWS: [(i32, f64); 10] = [
     (3, 0.1),
     (4, 0.06),
 ];
-const LAW_MASS: [f64; 10] = [0.1, 0.3, 0.06, 0.08, 0.06, 0.1, 0.06, 0.08, 0.08, 0.08];
+const LAW_MASS: [f64; 10] = [0.13, 0.45, 0.05, 0.06, 0.04, 0.07, 0.04, 0.05, 0.06, 0.05];
 
-const WEARS: [Wear; 7] = [
+const WEARS: [Wear; 6] = [
     Wear::Smooth(2e-4),
     Wear::Gamma(0.35),
     Wear::Gamma(0.75),
     Wear::Gamma(1.4),
-    Wear::Jumps(0.02),
-    Wear::Jumps(0.045),
-    Wear::Jumps(0.09),
+    Wear::Jumps(Jumps { shape: 1, size: 0.045 }),
+    Wear::Jumps(Jumps { shape: 3, size: 0.045 }),
 ];
-const WEAR_MASS: [f64; 7] = [0.3, 0.15, 0.12, 0.1, 0.12, 0.12, 0.09];
+const WEAR_MASS: [f64; 6] = [0.3, 0.15, 0.12, 0.1, 0.18, 0.15];
 
 /// Standard deviation that the logarithm of the rate gathers in a life.
 const VOLATILITIES: [f64; 2] = [0.1, 0.35];
@@ -133,6 +168,11 @@ impl Prior {
     /// Mass of one combination.
     pub fn mass(&self, m: Model) -> f64 {
         self.joint[m.index()]
+    }
+
+    /// The usual life from new [units of the clock]: the geometric mean over laws.
+    pub fn usual_life(&self) -> f64 {
+        (-self.rho_mean.iter().sum::<f64>() / self.rho_mean.len() as f64).exp()
     }
 
     /// Mean and standard deviation of rho under a combination's law.

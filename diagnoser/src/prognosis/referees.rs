@@ -473,9 +473,9 @@ fn referees_agree_with_each_other() {
     }
 }
 
-/// The bars that a filter should hold are 0.1 standard deviations, 5 % and 0.2 nat. Of the 50 cases 47, 50 and 20 hold
-/// them; the worst are 0.17, 2.9 % and 1.2 nat. The evidence goes astray in the first 20 tests or so, where the nodes of
-/// rho are broader than the growth is linear in them: with 31 nodes in place of 7 it is 46 of 50 and 0.24 nat at worst.
+/// The bars that a filter should hold are 0.1 standard deviations, 5 % and 0.2 nat. Of the 50 cases 47, 50 and 46 hold
+/// them; the worst are 0.20, 2.9 % and 0.24 nat. With 13 nodes of rho at the beginning in place of 31 the evidence of 33 holds,
+/// and it goes astray by up to 0.65 nat in the first 20 tests or so, where nodes are broader than the growth is linear in them.
 #[test]
 fn the_filter_agrees_with_particles() {
     let mut held = [0; 3];
@@ -492,7 +492,7 @@ fn the_filter_agrees_with_particles() {
     println!("rate, its sd, evidence: {held:?} of 50 hold, worst {worst:.4?}");
     assert!(held[0] >= 44 && worst[0] < 0.25, "rate: {held:?}, {worst:?}");
     assert!(held[1] == 50, "its sd: {held:?}, {worst:?}");
-    assert!(held[2] >= 15 && worst[2] < 1.6, "evidence: {held:?}, {worst:?}");
+    assert!(held[2] >= 44 && worst[2] < 0.4, "evidence: {held:?}, {worst:?}");
 }
 
 /// Of so many units the true rho lies within the central 90 %; and mean and variance of the standardised error.
@@ -526,7 +526,12 @@ fn covered(models: &[Model], cases: u64, seed: u64) -> (u32, f64, f64) {
             x += match model.wear() {
                 Wear::Smooth(kappa) => s + (kappa * s).sqrt() * random.normal(),
                 Wear::Gamma(cv) => s * cv * cv * random.gamma(1.0 / (cv * cv)),
-                Wear::Jumps(size) => (0..random.poisson(s / size)).map(|_| size * random.exponential()).sum(),
+                Wear::Jumps(of) => {
+                    let (size, shape) = (of.size, f64::from(of.shape));
+                    (0..random.poisson(s / size))
+                        .map(|_| size / shape * random.gamma(shape))
+                        .sum()
+                }
             };
             rho += model.volatility() * s.sqrt() * random.normal();
             let y = x + sd * random.normal();
@@ -540,7 +545,7 @@ fn covered(models: &[Model], cases: u64, seed: u64) -> (u32, f64, f64) {
         let below: f64 = filter
             .components
             .iter()
-            .map(|c| c.weight * normal_cdf((rho - c.rho) / c.prr.sqrt()))
+            .map(|c| c.weight * normal_cdf((rho - c.rho) / c.rho_variance().sqrt()))
             .sum();
         inside += u32::from((0.05..=0.95).contains(&below));
         let (mean, sd) = filter.rho();

@@ -1,4 +1,4 @@
-//! Functions of the normal and the compound Poisson distributions, and of lists of numbers.
+//! Functions of the normal and the gamma distributions, and of lists of numbers.
 
 /// The middle one of numbers in any order, the upper one of two; none of none.
 pub fn middle(mut values: Vec<f64>) -> Option<f64> {
@@ -104,39 +104,6 @@ pub fn normal_quantile(p: f64) -> f64 {
     }
 }
 
-/// Modified Bessel functions `exp(-z) I0(z)`, `exp(-z) I1(z)` for z >= 0 (Abramowitz and Stegun 9.8.1 to 9.8.4).
-pub fn bessel_scaled(z: f64) -> (f64, f64) {
-    if z < 3.75 {
-        let t = (z / 3.75).powi(2);
-        let i0 = 1.0
-            + t * (3.515_622_9
-                + t * (3.089_942_4 + t * (1.206_749_2 + t * (0.265_973_2 + t * (0.036_076_8 + t * 0.004_581_3)))));
-        let i1 = z
-            * (0.5
-                + t * (0.878_905_94
-                    + t * (0.514_988_69
-                        + t * (0.150_849_34 + t * (0.026_587_33 + t * (0.003_015_32 + t * 0.000_324_11))))));
-        let e = (-z).exp();
-        (i0 * e, i1 * e)
-    } else {
-        let t = 3.75 / z;
-        let i0 = 0.398_942_28
-            + t * (0.013_285_92
-                + t * (0.002_253_19
-                    + t * (-0.001_575_65
-                        + t * (0.009_162_81
-                            + t * (-0.020_577_06 + t * (0.026_355_37 + t * (-0.016_476_33 + t * 0.003_923_77)))))));
-        let i1 = 0.398_942_28
-            + t * (-0.039_880_24
-                + t * (-0.003_620_18
-                    + t * (0.001_638_01
-                        + t * (-0.010_315_55
-                            + t * (0.022_829_67 + t * (-0.028_953_12 + t * (0.017_876_54 - t * 0.004_200_59)))))));
-        let s = z.sqrt();
-        (i0 / s, i1 / s)
-    }
-}
-
 /// ln of the gamma function for x > 0 (Stirling's series above 7, recurrence below; error below 1e-10).
 pub fn ln_gamma(x: f64) -> f64 {
     let (mut x, mut product) = (x, 1.0);
@@ -158,9 +125,5 @@ mod tests {
         assert!((normal_cdf(1.0) - 0.841_344_746).abs() < 1e-7);
         assert!((normal_quantile(0.975) - 1.959_963_985).abs() < 1e-7);
         assert!((normal_quantile(0.001) + 3.090_232_306).abs() < 1e-6);
-        let (i0, i1) = bessel_scaled(2.0);
-        assert!((i0 * 2f64.exp() - 2.279_585_302).abs() < 1e-6 && (i1 * 2f64.exp() - 1.590_636_855).abs() < 1e-6);
-        let (i0, i1) = bessel_scaled(10.0);
-        assert!((i0 * 10f64.exp() - 2_815.716_628).abs() < 1e-2 && (i1 * 10f64.exp() - 2_670.988_304).abs() < 1e-2);
     }
 }

@@ -12,6 +12,10 @@ use std::sync::Arc;
 const FALL_SD: f64 = 8.0;
 const FALL_SHARE: f64 = 0.1;
 
+/// Damage below which there is nothing to repair: a fall from there is two wrong tests, however rare they are (assumed)
+/// [share of U].
+const WORN: f64 = 0.05;
+
 /// Spread of the damage where nothing is known of it: of a unit that comes new, and after a repair [share of U].
 const UNKNOWN: f64 = 0.3;
 
@@ -37,9 +41,6 @@ const OFTEN: usize = 4;
 
 /// A jump of otherwise even wear [share of U].
 const JUMP: f64 = 0.05;
-
-/// Mass by which a change of regime is reborn where the events say that something was done.
-const TOLD: f64 = 0.6;
 
 /// What is alarming.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -186,6 +187,17 @@ pub struct Track {
     segment: u32,
     wrong: f64,
     next_event: usize,
+    told: Option<Told>,
+}
+
+/// What the events told last, and how the unit stood before.
+#[derive(Clone, Copy, Debug)]
+struct Told {
+    at: f64,
+    /// logarithm of the rate
+    rate: f64,
+    /// damage
+    x: f64,
 }
 
 impl Track {
@@ -211,6 +223,7 @@ impl Track {
             segment: 0,
             wrong: 0.0,
             next_event: 0,
+            told: None,
         }
     }
 
@@ -221,6 +234,10 @@ impl Track {
             && at <= row.at
         {
             self.next_event += 1;
+            if what != Happening::Repair && !self.at.is_nan() {
+                let (rate, x) = (self.filter.log_rate().0, self.filter.damage().0);
+                self.told = Some(Told { at, rate, x });
+            }
             match what {
                 _ if self.at.is_nan() => {}
                 Happening::Repair => {
@@ -228,7 +245,8 @@ impl Track {
                     self.filter.rebirth(0.3);
                     self.restart(at);
                 }
-                Happening::Change => self.filter.rebirth(TOLD),
+                Happening::Change => self.filter.told(),
+                Happening::Loss => self.filter.lost(),
             }
         }
         self.test(row);
@@ -275,6 +293,7 @@ impl Track {
         self.first.clear();
         self.start = None;
         self.onset = false;
+        self.told = None;
         self.change = None;
         self.since_repair = 0;
         self.segment += 1;
@@ -332,7 +351,8 @@ impl Track {
         let (x, px) = self.filter.damage();
         let bound = x - (FALL_SD * px.hypot(sd)).max(FALL_SHARE * x);
         // the second test of a fall is held against what was before it
-        if self.since_repair >= 3 && y < self.suspect.map_or(bound, |s| s.2) {
+        let is_worn = self.suspect.map_or(x, |s| s.3) > WORN;
+        if self.since_repair >= 3 && is_worn && y < self.suspect.map_or(bound, |s| s.2) {
             self.wrong += (1.0 - self.wrong) * 0.1;
             let Some((at, level, _, x)) = self.suspect.take() else {
                 self.suspect = Some((row.at, y, bound, x));
@@ -420,6 +440,7 @@ impl Track {
         if self.suspect.is_some() {
             return;
         }
+        self.changed_as_told(x);
         let noise = self.stated;
         let bound = ONSET.max(ONSET_SD * noise);
         let before = self.updates.iter().rev().nth(1).map_or(x, |u| u.1);
@@ -487,6 +508,33 @@ impl Track {
         }
     }
 
+    /// Where the events say that something was done, less growth is enough: tests of it, standard deviations of a test.
+    fn changed_as_told(&mut self, x: f64) {
+        const TESTS: usize = 3;
+        const SD: f64 = 3.0;
+        let Some(t) = self.told else { return };
+        let since = self.updates.iter().filter(|u| u.0 >= t.at).count();
+        let bound = t.rate + CHANGED.ln();
+        let faster = self.filter.above_log_rate(bound);
+        if since < TESTS || x - t.x < SD * self.stated || faster < CERTAIN {
+            return;
+        }
+        self.told = None;
+        let factor = (self.filter.log_rate().0 - t.rate).exp();
+        let since = (t.at, t.at);
+        self.change = Some(Change {
+            at: t.at,
+            since,
+            probability: faster,
+            factor,
+        });
+        let text = format!(
+            "at {}, as the events told, rate x {factor:.1}",
+            (t.at * 1e3).round() / 1e3
+        );
+        self.alarm(Kind::RateChange, faster, since, text);
+    }
+
     fn jumped(&mut self, x: f64, noise: f64) {
         let groups = self.filter.groups();
         let n = self.updates.len();
@@ -512,5 +560,74 @@ impl Track {
             );
             self.alarm(Kind::Jump, 0.95, (before.0, now.0), text);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(levels: &[(f64, f64)], sd: f64, events: Vec<(f64, Happening)>) -> Track {
+        let row = |&(at, x): &(f64, f64)| Row {
+            at,
+            ended: Ended::Located,
+            lo: Some(x - 1.96 * sd),
+            hi: Some(x + 1.96 * sd),
+            estimate: Some(x),
+            coverage: 0.95,
+        };
+        let history = History::new("a".into(), levels.iter().map(row).collect(), events);
+        let scale = Scale {
+            healthy: 0.0,
+            threshold: 1.0,
+            range: None,
+        };
+        let mut track = Track::new(Arc::new(Prior::shipped(1.0)), scale);
+        track.read_all(&history);
+        track
+    }
+
+    /// Noise of one standard deviation or so, the same everywhere.
+    fn noise(i: usize) -> f64 {
+        ((i as f64 * 12.9898).sin() * 43_758.545_3).rem_euclid(1.0) * 3.4 - 1.7
+    }
+
+    #[test]
+    fn what_is_not_worn_is_not_repaired() {
+        let healthy = |i: usize| (i as f64, 0.01 + 0.001 * noise(i));
+        let mut levels: Vec<_> = (0..120).map(healthy).collect();
+        (levels[60].1, levels[61].1) = (-0.09, -0.09);
+        let track = read(&levels, 0.001, vec![]);
+        assert!(track.alarms.is_empty(), "{:?}", track.alarms);
+        // a worn one is
+        let worn = |i: usize| (i as f64, 0.005 * (i % 80) as f64 + 0.001 * noise(i));
+        let track = read(&(0..120).map(worn).collect::<Vec<_>>(), 0.001, vec![]);
+        assert!(
+            track
+                .alarms
+                .iter()
+                .any(|a| a.kind == Kind::UnrecordedRepair && a.at <= 82.0)
+        );
+    }
+
+    /// Coarse tests, and few of them after a lubricant was lost: what grew before anybody could say is believed sooner where the
+    /// events tell of it.
+    #[test]
+    fn a_loss_that_is_told_is_followed_sooner() {
+        let level = |i: usize| {
+            let after = (i as f64 - 40.0).max(0.0);
+            (i as f64, 0.03 * after + 0.03 * noise(i))
+        };
+        let levels: Vec<_> = (0..46).map(level).collect();
+        let told = read(&levels, 0.03, vec![(40.0, Happening::Loss)]);
+        let silent = read(&levels, 0.03, vec![]);
+        let alarm = told.alarms.iter().find(|a| a.kind == Kind::RateChange);
+        assert!(
+            alarm.is_some_and(|a| a.at <= 45.0 && a.probability > 0.9),
+            "{:?}",
+            told.alarms
+        );
+        assert!(!silent.alarms.iter().any(|a| a.kind == Kind::RateChange));
+        assert!(told.filter.log_rate().0 > silent.filter.log_rate().0);
     }
 }

@@ -94,7 +94,7 @@ struct WhatArgs {
     clock: Option<Clock>,
     /// Repairs and other interventions, a CSV file; those of a dataset are found
     ///
-    /// Columns: actuator, time or cycle, kind (repair, replacement, lubrication, configuration, sensor), fault, note.
+    /// Columns: actuator, time or cycle, kind (repair, replacement, lubrication, configuration, sensor, loss), fault, note.
     #[arg(long, value_name = "FILE", help_heading = HISTORY)]
     events: Option<PathBuf>,
     /// Any bounded health indicator in place of FSJ and zeta: NAME, and NAME_lo, NAME_hi where they are known

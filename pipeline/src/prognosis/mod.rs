@@ -211,7 +211,7 @@ pub fn history_of(
     if disagree(tests) {
         return Err("clocks that disagree: cycles fall where times rise".into());
     }
-    let of_fault = |e: &&Event| e.fault.is_empty() || e.fault == fault || e.what == Happening::Change;
+    let of_fault = |e: &&Event| e.fault.is_empty() || e.fault == fault || e.what != Happening::Repair;
     let mut happened = Vec::new();
     for e in events.iter().filter(of_fault) {
         let Some(at) = clock.of(e.moment) else {

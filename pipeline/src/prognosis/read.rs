@@ -498,7 +498,11 @@ pub fn events(path: &Path) -> Result<BTreeMap<String, Vec<Event>>> {
         let what = match word.as_str() {
             "repair" | "replacement" => Happening::Repair,
             "lubrication" | "configuration" | "sensor" => Happening::Change,
-            _ => return Err(sheet.bad(r, kind, "repair, replacement, lubrication, configuration or sensor")),
+            "loss" => Happening::Loss,
+            _ => {
+                let allowed = "repair, replacement, lubrication, configuration, sensor or loss";
+                return Err(sheet.bad(r, kind, allowed));
+            }
         };
         let fault = sheet.text(r, sheet.column("fault")).to_ascii_lowercase();
         let event = Event {
