@@ -71,7 +71,15 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             let usual = c.effect.coulomb / c.inertia;
             let slow = [1e6, 3.0 * usual, usual, 0.3 * usual];
             gaps.iter()
-                .flat_map(|&g| slow.map(|d| if d >= 1e6 { vec![g, d, 0.0] } else { vec![g, d, free, BOUNCE] }))
+                .flat_map(|&g| {
+                    slow.map(|d| {
+                        if d >= 1e6 {
+                            vec![g, d, 0.0]
+                        } else {
+                            vec![g, d, free, BOUNCE]
+                        }
+                    })
+                })
                 .collect()
         }
         EffectKind::Compliance => {
@@ -141,7 +149,10 @@ fn parted(runs: &[Signals]) -> Option<f64> {
         ahead.sort_by(f64::total_cmp);
         Some(ahead[s.n - 1 - s.n / FEW] - ahead[s.n / FEW])
     };
-    runs.iter().map(of).try_fold(0.0, |a: f64, x| Some(a.max(x?))).filter(|x| *x > 0.0)
+    runs.iter()
+        .map(of)
+        .try_fold(0.0, |a: f64, x| Some(a.max(x?)))
+        .filter(|x| *x > 0.0)
 }
 
 /// Corners of the filters behind which a deflection's own swing is looked for, over the rate (assumed).

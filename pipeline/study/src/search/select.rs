@@ -352,7 +352,12 @@ impl Material {
     pub fn scan(&self, model: &Fit, kinds: &[EffectKind]) -> Vec<Ranked> {
         let regs = fit::regressors(&self.fit, &model.terms, &self.constants);
         let (y, further) = fit::assembled(&self.fit, &regs);
-        let scan = Scan::new(&self.fit, &self.constants, &self.nuisances, &y, &further, model.sigma).with_orders();
+        // a sensor that the model holds at the end of its belief is held: what runs beyond it is what candidates are to explain
+        let pairs = self.nuisances.iter().zip(&model.believed);
+        let nuisances: Vec<Nuisance> = pairs
+            .map(|(n, held)| if n.of_machine { n } else { held }.clone())
+            .collect();
+        let scan = Scan::new(&self.fit, &self.constants, &nuisances, &y, &further, model.sigma).with_orders();
         let silent = excitation::not_excited(self);
         let mut all: Vec<Ranked> = kinds
             .par_iter()

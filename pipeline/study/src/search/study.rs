@@ -194,7 +194,8 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         model = m.polish(&m.solve(&model.terms, model.sigma), 1);
     }
     // constants that nothing of the list explains may have one cause together
-    if let Some(loose) = m.let_go(&model) {
+    let told = |t: &Term| matches!(t.kind, EffectKind::CurrentGain | EffectKind::WindingHeating);
+    if let Some(loose) = m.let_go(&model).filter(|_| !model.terms.iter().any(told)) {
         let mut fit = loose.solve(&model.terms, model.sigma);
         let loose = loose.around(&fit);
         fit = loose.polish(&loose.solve(&model.terms, model.sigma), 1);
