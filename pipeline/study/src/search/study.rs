@@ -24,6 +24,8 @@ const EXCITED: f64 = 3.0;
 const VAGUE: f64 = 0.7;
 /// Gain of an effect that is there whatever its interval says.
 const CERTAIN: f64 = 60.0;
+/// Energy of the voltage over that of the noise up to which nothing else is in it (assumed).
+const QUIET: f64 = 1.35;
 /// Candidates that a second one is tried with.
 const PAIRS: usize = 4;
 /// Log-likelihood by which a rival must fall behind, and share of the gain where the best leaves a gap (assumed).
@@ -151,6 +153,14 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         m = m.around(&model);
         model = m.solve(&[], m.first_sigma());
     }
+    // constants that are off together, and nothing else of the voltage: no effect is to stand for them
+    let quiet = |(m, fit): &(Material, Fit)| {
+        let e = Equation::Electrical.index();
+        fit.score.energy[e] < QUIET * m.fit.sensor_energy(e)
+    };
+    if let Some(loose) = one_cause(&m, &model, &first_nuisances).filter(quiet) {
+        (m, model) = loose;
+    }
     let mut steps: Vec<Step> = Vec::new();
     let mut ambiguous: Vec<(EffectKind, Vec<EffectKind>)> = Vec::new();
     while model.terms.len() < MOST_EFFECTS {
@@ -195,13 +205,8 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
     // constants that nothing of the list explains may have one cause together
     let told = |t: &Term| matches!(t.kind, EffectKind::CurrentGain | EffectKind::WindingHeating);
-    if let Some(loose) = m.let_go(&model).filter(|_| !model.terms.iter().any(told)) {
-        let mut fit = loose.solve(&model.terms, model.sigma);
-        let loose = loose.around(&fit);
-        fit = loose.polish(&loose.solve(&model.terms, model.sigma), 1);
-        if beside::together(&loose, &fit, &first_nuisances).is_some() {
-            (m, model) = (loose, fit);
-        }
+    if let Some(loose) = one_cause(&m, &model, &first_nuisances).filter(|_| !model.terms.iter().any(told)) {
+        (m, model) = loose;
     }
     tell("proof on held-out data");
     let (unproven, proofs) = prove(&m, &mut model);
@@ -247,6 +252,14 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         proofs,
         beside,
     }
+}
+
+/// A model whose resistance and inertia are no longer held at the end of their belief, where one cause explains all constants.
+fn one_cause(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<(Material, Fit)> {
+    let loose = m.let_go(model)?;
+    let loose = loose.around(&loose.solve(&model.terms, model.sigma));
+    let fit = loose.polish(&loose.solve(&model.terms, model.sigma), 1);
+    beside::together(&loose, &fit, first).map(|_| (loose, fit))
 }
 
 /// Whether no equation has more energy on the fit runs than the sensors' noise.
