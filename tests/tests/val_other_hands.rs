@@ -71,6 +71,36 @@ fn val_effects_in_rigs_of_another_hand_get_their_names_and_no_others() {
     assert!(wrong.len() <= 1, "{wrong:#?}");
 }
 
+/// Rigs with a voltage, on which the resistance was 10 to 30 % and the torque constant up to 10 % off and the source's resistance
+/// less than half of what it is, all with intervals of a per cent or two.
+#[test]
+fn val_a_voltage_tells_the_constants_of_rigs_of_another_hand() {
+    let dir = tempfile::tempdir().unwrap();
+    for (effect, seed) in [("supply_sag", 821017), ("cogging", 821033), ("bias_torque", 821027)] {
+        let folder = dir.path().join(effect);
+        std::fs::create_dir_all(&folder).unwrap();
+        let key = second::make(&folder, &Class::One(effect), 1.0, seed).unwrap();
+        let request = Request {
+            bench: vec![folder.join("bench.toml")],
+            healthy: true,
+            ..Request::default()
+        };
+        let found = study_file(&request, &|_| {}).unwrap();
+        for wanted in ["torque_constant", "resistance"] {
+            let truth = key.constants.iter().find(|c| c.0 == wanted).unwrap().1;
+            let said = found.retuned.iter().find(|r| r.name == wanted).unwrap().value;
+            assert!(
+                (said / truth - 1.0).abs() < 0.03,
+                "{effect}: {wanted} {said} for {truth}"
+            );
+        }
+        if effect == "supply_sag" {
+            let (said, truth) = (found.effects[0].parameters[0].value, key.hidden[0].1[0].1);
+            assert!((said / truth - 1.0).abs() < 0.02, "{said} for {truth}");
+        }
+    }
+}
+
 #[test]
 fn val_recordings_of_an_independent_program_get_their_names_and_no_others() {
     let dir = tempfile::tempdir().unwrap();

@@ -133,20 +133,10 @@ fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
     };
     let mut column = Vec::new();
     if torque.iter().any(|x| *x != 0.0) {
-        column.push(Piece {
-            equation: Equation::Torque,
-            order: 0,
-            signal: torque,
-            phase: None,
-        });
+        column.push(Piece::of(Equation::Torque, 0, torque));
     }
     if let Some(signal) = voltage {
-        column.push(Piece {
-            equation: Equation::Electrical,
-            order: 0,
-            signal,
-            phase: None,
-        });
+        column.push(Piece::of(Equation::Electrical, 0, signal));
     }
     column
 }
@@ -171,14 +161,7 @@ fn encoder(s: &Signals, c: &RigConstants, both: bool, f: fn(f64) -> f64) -> Colu
     let error: Vec<f64> = s.theta.iter().map(|t| f(at(t))).collect();
     let times = |g: f64| -> Vec<f64> { error.iter().map(|e| g * e).collect() };
     let mut column = Vec::new();
-    let mut add = |equation, order, signal| {
-        column.push(Piece {
-            equation,
-            order,
-            signal,
-            phase: None,
-        })
-    };
+    let mut add = |equation, order, signal| column.push(Piece::of(equation, order, signal));
     add(Equation::Kinematic, 0, times(1.0));
     if both {
         add(Equation::Kinematic, 1, rate_of(&error, s.rate_hz).collect());
@@ -220,12 +203,8 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             if s.voltage.is_some() && c.measured_current {
                 let warmth = warmth(s, shape[0] > 1.5, shape.get(1).copied().unwrap_or(1e3));
                 let signal = (0..s.n).map(|k| c.effect.resistance * effect::COPPER_PER_K * warmth[k] * s.drive[k]);
-                out.linear.push(vec![Piece {
-                    equation: Equation::Electrical,
-                    order: 0,
-                    signal: signal.collect(),
-                    phase: None,
-                }]);
+                out.linear
+                    .push(vec![Piece::of(Equation::Electrical, 0, signal.collect())]);
             }
         }
         EffectKind::WindingHeating => {
@@ -236,24 +215,15 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
                     let rise = t[k] - effect::REFERENCE_TEMPERATURE_DEGC;
                     c.effect.resistance * effect::COPPER_PER_K * rise * s.drive[k]
                 });
-                out.linear.push(vec![Piece {
-                    equation: Equation::Electrical,
-                    order: 0,
-                    signal: signal.collect(),
-                    phase: None,
-                }]);
+                out.linear
+                    .push(vec![Piece::of(Equation::Electrical, 0, signal.collect())]);
             }
         }
         EffectKind::DeadTime => {
             if s.voltage.is_some() && c.measured_current {
                 // how sharply it turns over with the current depends on the bridge and the ripple
                 let signal = s.drive.iter().map(|i| (i / shape[0]).tanh()).collect();
-                out.linear.push(vec![Piece {
-                    equation: Equation::Electrical,
-                    order: 0,
-                    signal,
-                    phase: None,
-                }]);
+                out.linear.push(vec![Piece::of(Equation::Electrical, 0, signal)]);
             }
         }
         EffectKind::SupplySag => {
@@ -285,19 +255,17 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             let forms: [fn(f64) -> f64; 4] = [f64::sin, f64::cos, |t| (2.0 * t).sin(), |t| (2.0 * t).cos()];
             let both = shape.first().is_some_and(|x| *x > 0.5);
             out.linear = forms.map(|f| encoder(s, c, both, f)).into();
-            // what was found before is out of the signals' speed already
-            if c.encoder != (0.0, 0.0) && s.phases.is_none() && (c.from_position || both) && s.voltage.is_some() {
-                let (a, b) = c.encoder;
-                out.fixed.push(Piece {
-                    equation: Equation::Electrical,
-                    order: 1,
-                    signal: s
-                        .theta
+            if s.phases.is_none() {
+                // what was found before is out of the signals' speed already
+                for (found, column) in [c.encoder.0, c.encoder.1].into_iter().zip(&out.linear) {
+                    let volts = column
                         .iter()
-                        .map(|t| c.back_emf * (a * t.sin() + b * t.cos()))
-                        .collect(),
-                    phase: None,
-                });
+                        .filter(|p| p.equation == Equation::Electrical && found != 0.0);
+                    out.fixed.extend(volts.map(|p| {
+                        let signal = p.signal.iter().map(|x| -found * x).collect();
+                        Piece::of(p.equation, p.order, signal)
+                    }));
+                }
             }
         }
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
@@ -327,19 +295,13 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             let torque = (0..s.n).map(|k| {
                 c.inertia * s.accel[k] + c.effect.viscous * s.omega[k] + c.effect.coulomb * s.sign[k] + s.load[k]
             });
-            let mut column = vec![Piece {
-                equation: Equation::Torque,
-                order: 0,
-                signal: torque.collect(),
-                phase: None,
-            }];
+            let mut column = vec![Piece::of(Equation::Torque, 0, torque.collect())];
             if s.voltage.is_some() && c.measured_current {
-                column.push(Piece {
-                    equation: Equation::Electrical,
-                    order: 0,
-                    signal: s.drive.iter().map(|i| -c.effect.resistance * i).collect(),
-                    phase: None,
-                });
+                column.push(Piece::of(
+                    Equation::Electrical,
+                    0,
+                    s.drive.iter().map(|i| -c.effect.resistance * i).collect(),
+                ));
                 out.linear.push(column);
             }
         }
@@ -349,31 +311,20 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
                 .iter()
                 .zip(&s.sign)
                 .map(|(z, sign)| c.effect.coulomb * (z - sign));
-            out.linear.push(vec![Piece {
-                equation: Equation::Torque,
-                order: 0,
-                signal: signal.collect(),
-                phase: None,
-            }]);
+            out.linear.push(vec![Piece::of(Equation::Torque, 0, signal.collect())]);
             // damping of the bristles, whose deflection is `distance` at most
-            out.linear.push(vec![Piece {
-                equation: Equation::Torque,
-                order: 1,
-                signal: sliding.iter().map(|z| shape[0] * z).collect(),
-                phase: None,
-            }]);
+            out.linear.push(vec![Piece::of(
+                Equation::Torque,
+                1,
+                sliding.iter().map(|z| shape[0] * z).collect(),
+            )]);
         }
         EffectKind::Backlash => {
             if s.user.is_some() {
                 let bounce = shape.get(3).copied().unwrap_or(0.0);
                 let (followed, speed) = loose(s, 0.5 * shape[0], shape[1], shape[2], bounce);
                 let signal = followed.iter().zip(&s.theta).map(|(u, t)| u - t);
-                out.fixed.push(Piece {
-                    equation: Equation::Transmission,
-                    order: 0,
-                    signal: signal.collect(),
-                    phase: None,
-                });
+                out.fixed.push(Piece::of(Equation::Transmission, 0, signal.collect()));
                 // what the motor feels of the load beyond a rigid shaft: its friction, its inertia
                 let turned = speed
                     .iter()
@@ -381,12 +332,7 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
                     .map(|(w, sign)| if *w == 0.0 { -sign } else { w.signum() - sign });
                 let slower = speed.iter().zip(&s.omega).map(|(w, m)| w - m);
                 for (order, signal) in [(0, turned.collect()), (1, slower.collect())] {
-                    out.linear.push(vec![Piece {
-                        equation: Equation::Torque,
-                        order,
-                        signal,
-                        phase: None,
-                    }]);
+                    out.linear.push(vec![Piece::of(Equation::Torque, order, signal)]);
                 }
             }
         }
@@ -397,12 +343,7 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             let moved = |load: &[f64]| two_mass(s, [shape[0], shape[1], shape[2]], start, load);
             // the load's inertia follows its own speed rather than the motor's
             let pieces = |(deflection, slip): (Vec<f64>, Vec<f64>)| -> Column {
-                let piece = |equation, order, signal| Piece {
-                    equation,
-                    order,
-                    signal,
-                    phase: None,
-                };
+                let piece = |equation, order, signal| Piece::of(equation, order, signal);
                 vec![
                     piece(Equation::Transmission, 0, deflection),
                     piece(Equation::Torque, 1, slip.iter().map(|w| shape[2] * w).collect()),
@@ -430,34 +371,19 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         EffectKind::SpringLoad => {
             // where the spring is at ease is not known
             out.linear.push(amplitude(&[1.0]));
-            out.linear.push(vec![Piece {
-                equation: Equation::Torque,
-                order: 0,
-                signal: vec![1.0; s.n],
-                phase: None,
-            }]);
+            out.linear.push(vec![Piece::of(Equation::Torque, 0, vec![1.0; s.n])]);
         }
         EffectKind::ControlDelay => {
             let late = |x: &[f64]| shifted(x, -shape[0] * s.rate_hz);
             if let Some((law, _)) = &s.law {
                 let signal = late(law).into_iter().zip(law).map(|(l, p)| l - p).collect();
-                out.fixed.push(Piece {
-                    equation: Equation::Controller,
-                    order: 1,
-                    signal,
-                    phase: None,
-                });
+                out.fixed.push(Piece::of(Equation::Controller, 1, signal));
             }
             if !c.measured_current {
                 // what was demanded drives the motor later
                 let kt = c.effect.torque_constant;
                 let signal = late(&s.drive).into_iter().zip(&s.drive).map(|(l, p)| kt * (p - l));
-                out.fixed.push(Piece {
-                    equation: Equation::Torque,
-                    order: 0,
-                    signal: signal.collect(),
-                    phase: None,
-                });
+                out.fixed.push(Piece::of(Equation::Torque, 0, signal.collect()));
             }
         }
         _ => {

@@ -69,18 +69,11 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             gaps.extend(parted(runs));
             // its own share of friction and inertia, more or less of either; or nothing but the play
             let usual = c.effect.coulomb / c.inertia;
-            let slow = [1e6, 3.0 * usual, usual, 0.3 * usual];
-            gaps.iter()
-                .flat_map(|&g| {
-                    slow.map(|d| {
-                        if d >= 1e6 {
-                            vec![g, d, 0.0]
-                        } else {
-                            vec![g, d, free, BOUNCE]
-                        }
-                    })
-                })
-                .collect()
+            let of = |&g: &f64| {
+                let slow = [3.0, 1.0, 0.3].map(|of| vec![g, of * usual, free, BOUNCE]);
+                [vec![g, 1e6, 0.0]].into_iter().chain(slow)
+            };
+            gaps.iter().flat_map(of).collect()
         }
         EffectKind::Compliance => {
             let rate = runs[0].rate_hz;

@@ -13,6 +13,18 @@ pub struct Piece {
     pub phase: Option<usize>,
 }
 
+impl Piece {
+    /// Of no phase alone.
+    pub fn of(equation: Equation, order: usize, signal: Vec<f64>) -> Self {
+        Self {
+            equation,
+            order,
+            signal,
+            phase: None,
+        }
+    }
+}
+
 /// What one amplitude multiplies.
 pub type Column = Vec<Piece>;
 

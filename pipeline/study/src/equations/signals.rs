@@ -667,6 +667,38 @@ mod tests {
     use super::*;
 
     #[test]
+    fn an_angle_sensor_out_of_centre_is_straightened() {
+        let error = (0.04, -0.02);
+        let (w, a) = (30.0, 200.0);
+        let truth: Vec<f64> = (0..50).map(|k| 0.3 * k as f64).collect();
+        let off = |t: f64| error.0 * t.sin() + error.1 * t.cos();
+        let slope = |t: f64| 1.0 + error.0 * t.cos() - error.1 * t.sin();
+        let measured = |of_angle: bool| {
+            let theta: Vec<f64> = truth.iter().map(|t| t + off(*t)).collect();
+            let speed = |t: &f64| if of_angle { w * slope(*t) } else { w };
+            let accel = |t: &f64| if of_angle { a * slope(*t) - off(*t) * w * w } else { a };
+            (
+                theta,
+                truth.iter().map(speed).collect(),
+                truth.iter().map(accel).collect(),
+            )
+        };
+        for of_angle in [true, false] {
+            let (mut theta, mut omega, mut accel): (Vec<f64>, Vec<f64>, Vec<f64>) = measured(of_angle);
+            straighten(error, of_angle, &mut theta, &mut omega, &mut accel);
+            for k in 0..truth.len() {
+                assert!((theta[k] - truth[k]).abs() < 1e-6, "{} {}", theta[k], truth[k]);
+                assert!(
+                    (omega[k] - w).abs() < 1e-4 && (accel[k] - a).abs() < 1e-2,
+                    "{} {}",
+                    omega[k],
+                    accel[k]
+                );
+            }
+        }
+    }
+
+    #[test]
     fn a_passage_through_zero_is_placed_between_samples() {
         let omega: Vec<f64> = (0..20).map(|k| k as f64 - 9.75).collect();
         let (sign, resting) = directions(&omega, 0.1, 0);

@@ -1,5 +1,6 @@
 //! `BENCH.toml`: what was measured, on which rig, and how far each is trusted.
 
+use crate::measured::one_constant::taken_for_one;
 use crate::measured::own;
 use ema_tables::units::Quantity;
 use schemas::error::{Error, Result};
@@ -629,9 +630,8 @@ fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
     } else {
         None
     };
-    let said = back_emf.value > 0.0 && !assumed.iter().any(|a| a.0 == "back_emf_constant");
     let (mut drive_constant, mut back_emf) = (drive_constant, back_emf);
-    let one_constant = if drive == BenchChannel::Current && said {
+    let one_constant = if drive == BenchChannel::Current {
         taken_for_one(&mut drive_constant, &mut back_emf)
     } else {
         None
@@ -659,39 +659,6 @@ fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
         from_model,
         assumed,
     })
-}
-
-/// Standard deviations by which two values of one constant may differ, and what is allowed beside them (assumed): beyond, they
-/// are of two conventions (a current's rms, two phases in series), and their ratio stands.
-const ONE_CONSTANT: f64 = 4.0;
-const BESIDE: f64 = 0.02;
-
-/// Torque of a current and voltage of a speed are one constant of a motor: the mean of what is said of both, by how far each is
-/// trusted. What was said, where they differ.
-fn taken_for_one(torque: &mut Known, voltage: &mut Known) -> Option<(f64, f64)> {
-    let said = (torque.value, voltage.value);
-    let trusts = [torque.trust, voltage.trust];
-    let of = |t: &Option<f64>| t.unwrap_or(0.3);
-    let apart = (said.0 / said.1).ln().abs();
-    if apart < 1e-9 || apart > ONE_CONSTANT * of(&trusts[0]).hypot(of(&trusts[1])) + BESIDE {
-        return None;
-    }
-    let weight = |t: Option<f64>| t.map_or(0.0, |t| t.max(1e-6).powi(-2));
-    let (a, b) = (weight(trusts[0]), weight(trusts[1]));
-    let value = if a + b > 0.0 {
-        (a * said.0 + b * said.1) / (a + b)
-    } else {
-        said.0
-    };
-    let fixed = trusts.contains(&Some(0.0));
-    let trust = match a + b {
-        0.0 => None,
-        _ if fixed => Some(0.0),
-        both => Some(both.sqrt().recip()),
-    };
-    *torque = Known { value, trust };
-    *voltage = *torque;
-    Some(said)
 }
 
 fn controller(c: &mut Section, lead: Option<f64>) -> Result<ControllerLaw> {

@@ -1,6 +1,7 @@
 pub mod bench;
 pub mod check;
 pub mod filter;
+mod one_constant;
 pub mod own;
 pub mod recording;
 pub(crate) mod rows;
