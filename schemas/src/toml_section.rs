@@ -256,6 +256,29 @@ impl Section {
         list.ok_or_else(|| self.bad(key, show(&v), allowed))
     }
 
+    /// A list of `n` numbers of a range.
+    ///
+    /// # Errors
+    /// No such key, another number of numbers, one outside.
+    pub fn numbers(&mut self, key: &str, range: std::ops::RangeInclusive<f64>, n: usize) -> Result<Vec<f64>> {
+        let v = self.take(key);
+        let number = |v: &Value| v.as_float().or(v.as_integer().map(|i| i as f64));
+        let list = v.as_ref().and_then(Value::as_array);
+        let all = list.and_then(|a| a.iter().map(number).collect::<Option<Vec<f64>>>());
+        match all {
+            Some(all) if all.len() == n && all.iter().all(|x| range.contains(x)) => Ok(all),
+            _ => {
+                let found = v.map_or("nothing".into(), |v| v.to_string());
+                let (least, most) = (range.start(), range.end());
+                let allowed = format!(
+                    "{n} {} from {least} to {most}",
+                    if n == 1 { "number" } else { "numbers" }
+                );
+                Err(self.bad(key, found, allowed))
+            }
+        }
+    }
+
     /// Keys that were not read yet, in the order of the alphabet.
     pub fn keys(&self) -> Vec<String> {
         self.table.keys().cloned().collect()

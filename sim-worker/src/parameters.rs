@@ -116,28 +116,13 @@ impl Uncertainty {
         }
         let mut t = s.section("uncertainty")?;
         let parameters = t.texts("parameters", "a list of keys, `motor.inertia_kg_m2`")?;
-        let numbers = |t: &mut Section, key: &str, least: f64, most: f64, n: usize| -> Result<Vec<f64>> {
-            let allowed = format!("{n} numbers from {least} to {most}");
-            let v = t.raw(key);
-            let all: Vec<f64> = match v.as_ref().and_then(|v| v.as_array()) {
-                Some(a) => a
-                    .iter()
-                    .filter_map(|v| v.as_float().or(v.as_integer().map(|i| i as f64)))
-                    .collect(),
-                None => Vec::new(),
-            };
-            if all.len() == n && all.iter().all(|x| (least..=most).contains(x)) {
-                return Ok(all);
-            }
-            Err(t.bad(key, v.map_or("nothing".into(), |v| v.to_string()), allowed))
-        };
         let n = parameters.len();
         let known = |key: &String| ALL.iter().any(|p| key.split_once('.') == Some((p.table, p.key)));
         if let Some(key) = parameters.iter().find(|key| !known(key)) {
             return Err(t.bad("parameters", key, "keys of the file, `motor.inertia_kg_m2`"));
         }
-        let deviation = numbers(&mut t, "deviation_relative", 0.0, 10.0, n)?;
-        let correlation = numbers(&mut t, "correlation", -1.0, 1.0, n * n)?;
+        let deviation = t.numbers("deviation_relative", 0.0..=10.0, n)?;
+        let correlation = t.numbers("correlation", -1.0..=1.0, n * n)?;
         t.finish()?;
         Ok(Self {
             parameters,

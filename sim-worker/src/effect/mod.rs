@@ -12,6 +12,8 @@ mod tests;
 #[cfg(test)]
 mod tests_physics;
 
+use nalgebra::DMatrix;
+
 pub use equations::{
     COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, shape,
 };
@@ -41,6 +43,8 @@ pub struct Effect {
     pub values: [f64; 3],
     /// 95 % intervals of the values, where they were identified; (0, 0) beyond the last key
     pub intervals: Option<[(f64, f64); 3]>,
+    /// correlations of the values with each other: first and second, first and third, second and third
+    pub correlation: Option<[f64; 3]>,
     /// where the values come from, in words ("assumed", a data hash, a source)
     pub source: String,
     /// share of the amplitude that grows with the friction fault: times `1 + grows (FSJ - 1)`. 0 but for levels of
@@ -61,6 +65,7 @@ impl Effect {
             kind,
             values: all,
             intervals: None,
+            correlation: None,
             source: "assumed".into(),
             grows: 0.0,
             parent: None,
@@ -74,21 +79,39 @@ impl Effect {
     }
 
     /// Moves its amplitude, or all its other values, by so many standard deviations of what identified it, within the
-    /// bounds of the kind; nothing where it was not identified.
+    /// bounds of the kind; nothing where it was not identified. Where the correlations of the values are known it is the
+    /// first of their principal components that moves as the amplitude, the second as the others.
     pub fn deviate(&mut self, amplitude: bool, sigmas: f64) {
         let Some(intervals) = self.intervals else { return };
-        for (i, key) in self
-            .kind
-            .keys()
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| (*i == 0) == amplitude)
-        {
+        let directions = self.directions();
+        for (i, key) in self.kind.keys().iter().enumerate() {
             let sd = (intervals[i].1 - intervals[i].0) / (2.0 * NORMAL_95);
-            if sd.is_finite() {
-                self.values[i] = (self.values[i] + sigmas * sd).clamp(key.low, key.high);
+            let share = directions[usize::from(!amplitude)][i];
+            if sd.is_finite() && share != 0.0 {
+                self.values[i] = (self.values[i] + sigmas * share * sd).clamp(key.low, key.high);
             }
         }
+    }
+
+    /// How far a standard deviation along each of the two directions of [`Effect::deviate`] moves the values, in their
+    /// standard deviations.
+    fn directions(&self) -> [[f64; 3]; 2] {
+        let apart = [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]];
+        let n = self.kind.keys().len();
+        let Some(r) = self.correlation.filter(|_| n > 1) else {
+            return apart;
+        };
+        let at = |i: usize, k: usize| if i == k { 1.0 } else { r[i + k - 1] };
+        let eigen = DMatrix::from_fn(n, n, at).symmetric_eigen();
+        let mut order: Vec<usize> = (0..n).collect();
+        order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+        let direction = |k: usize| -> [f64; 3] {
+            let v = eigen.eigenvectors.column(order[k]);
+            let sign = if v[v.iamax()] < 0.0 { -1.0 } else { 1.0 };
+            let length = sign * eigen.eigenvalues[order[k]].max(0.0).sqrt();
+            std::array::from_fn(|i| if i < n { length * v[i] } else { 0.0 })
+        };
+        [direction(0), direction(1)]
     }
 
     /// The effect at a friction fault.

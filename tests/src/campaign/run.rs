@@ -281,6 +281,7 @@ mod tests {
                 equation: "transmission".into(),
                 term: String::new(),
                 parameters: vec![identified(f64::INFINITY)],
+                correlation: Vec::new(),
                 explained_share: 0.9,
                 runner_up: None,
                 ambiguous_with: vec!["compliance".into()],

@@ -3,7 +3,8 @@
 
 use crate::candidates::phases::of_phases;
 use crate::equations::pieces::{Column, Piece, RigConstants};
-use crate::equations::signals::{SUPPLY, Signals, rate_of, shifted};
+use crate::equations::signals::{SUPPLY, Signals, between, rate_of, shifted};
+use nalgebra::{Matrix3, Vector3};
 use sim_worker::effect::{self, Effect, EffectKind, Equation};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -339,24 +340,38 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         // without a second sensor the noise of the motion would drive the column
         EffectKind::Compliance if s.user.is_none() => {}
         EffectKind::Compliance => {
-            let start = released(s);
-            let moved = |load: &[f64]| two_mass(s, [shape[0], shape[1], shape[2]], start, load);
-            // the load's inertia follows its own speed rather than the motor's
+            let start = released(s, [shape[0], shape[1], shape[2]], &s.load);
+            let moved = |load: &[f64]| two_mass(s, [shape[0], shape[1], shape[2]], start, load, s.n);
+            // torque drives the common centre of both masses, from which the motor is off by the load's share of the inertia
+            let behind = -shape[2] / c.inertia.max(1e-15);
             let pieces = |(deflection, slip): (Vec<f64>, Vec<f64>)| -> Column {
-                let piece = |equation, order, signal| Piece::of(equation, order, signal);
+                let share = |x: &[f64]| x.iter().map(|x| behind * x).collect();
                 vec![
-                    piece(Equation::Transmission, 0, deflection),
-                    piece(Equation::Torque, 1, slip.iter().map(|w| shape[2] * w).collect()),
+                    Piece::of(Equation::Kinematic, 0, share(&deflection)),
+                    Piece::of(Equation::Kinematic, 1, share(&slip)),
+                    Piece::of(Equation::Transmission, 0, deflection),
                 ]
             };
+            // the play follows the load, not the motor
+            let of_play = |deflection: &[f64]| -> Piece {
+                let load: Vec<f64> = s.theta.iter().zip(deflection).map(|(t, d)| t + d).collect();
+                let (with, without) = (s.played(&load, c.play), s.played(&s.theta, c.play));
+                let lags = with.iter().zip(&load).zip(without.iter().zip(&s.theta));
+                let more = lags.map(|((f, x), (f0, t))| (f - x) - (f0 - t)).collect();
+                Piece::of(Equation::Transmission, 0, more)
+            };
             let base = moved(&s.load);
-            // drag and dry friction behind the spring
-            for torque in [&s.omega, &s.sign] {
-                let both: Vec<f64> = s.load.iter().zip(torque).map(|(l, t)| l + t).collect();
+            // drag and dry friction behind the spring, as a share of what there is in all
+            let wide = |x: f64| if x > 0.0 { x } else { 1.0 };
+            for (torque, most) in [(&s.omega, c.effect.viscous), (&s.sign, c.effect.coulomb)] {
+                let both: Vec<f64> = s.load.iter().zip(torque).map(|(l, t)| l + wide(most) * t).collect();
                 let (mut x, mut w) = moved(&both);
                 x.iter_mut().zip(&base.0).for_each(|(x, b)| *x -= b);
                 w.iter_mut().zip(&base.1).for_each(|(w, b)| *w -= b);
                 out.linear.push(pieces((x, w)));
+            }
+            if c.play > 0.0 {
+                out.fixed.push(of_play(&base.0));
             }
             out.fixed.extend(pieces(base));
         }
@@ -480,52 +495,61 @@ fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64, bounce: f64) ->
     (followed, speed)
 }
 
-/// How far and how fast the load is ahead of the motor when a run begins, by the user's sensor: a spring that is hardly
-/// damped remembers it.
-fn released(s: &Signals) -> (f64, f64) {
-    /// samples of the straight line at the start (assumed)
-    const FIRST: usize = 9;
-    let Some(user) = s.user.as_ref().filter(|_| s.n > 10 * FIRST) else {
+/// How far [rad] and how fast [rad/s] the load is ahead of the motor when a run begins: what fits the user's sensor best while
+/// the spring remembers it.
+fn released(s: &Signals, shape: [f64; 3], load: &[f64]) -> (f64, f64) {
+    /// fewest and most samples that are looked at; time constants of the decay
+    const FEWEST: usize = 12;
+    const MOST: usize = 400;
+    const DECAYS: f64 = 4.0;
+    let Some(user) = s.user.as_ref() else { return (0.0, 0.0) };
+    let decay = 0.5 * shape[1] / shape[2].max(1e-12);
+    let remembered = (DECAYS * s.rate_hz / decay.max(1e-9)) as usize;
+    // while it turns one way, a play before the sensor stays on one side
+    let one_way = s.sign.iter().take_while(|x| **x * s.sign[0] > 0.0).count();
+    let n = remembered.clamp(FEWEST, MOST).min(one_way.max(FEWEST));
+    if s.n < 2 * n {
         return (0.0, 0.0);
-    };
-    let ahead = |k: usize| user[k] - s.position[k];
-    // the sensors' zeros differ; over a run the load is as often ahead as behind
-    let mean = (0..s.n).map(ahead).sum::<f64>() / s.n as f64;
-    let middle = (FIRST / 2) as f64;
-    let (mut level, mut slope, mut weight) = (0.0, 0.0, 0.0);
-    for k in 0..FIRST {
-        let t = k as f64 - middle;
-        level += (ahead(k) - mean) / FIRST as f64;
-        slope += t * (ahead(k) - mean);
-        weight += t * t;
     }
-    let slope = slope / weight;
-    (level - middle * slope, slope * s.rate_hz)
+    let run = |start, load: &[f64]| two_mass(s, shape, start, load, n).0;
+    let still = run((0.0, 0.0), load);
+    let free = [(1e-3, 0.0), (0.0, 1.0)].map(|start| {
+        let moved = run(start, load);
+        moved.iter().zip(&still).map(|(m, s)| m - s).collect::<Vec<f64>>()
+    });
+    // deflection, slip and the sensors' zeros
+    let column = |i: usize, k: usize| free.get(i).map_or(1.0, |f| f[k]);
+    let sum = |f: &dyn Fn(usize) -> f64| (0..n).map(f).sum::<f64>();
+    let gram = Matrix3::from_fn(|i, j| sum(&|k| column(i, k) * column(j, k)));
+    let right = Vector3::from_fn(|i, _| sum(&|k| column(i, k) * (user[k] - s.position[k] - still[k])));
+    let x = gram.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&right));
+    (1e-3 * x[0], x[1])
 }
 
 /// The load mass on its spring, driven by the motor's measured motion and a torque against it [N m]: angle [rad] and
 /// speed [rad/s] of the load less the motor's.
 ///
-/// * `x0`, `w0` the same at the start
+/// * `x0`, `w0` the same at the start, `n` samples that are wanted
 fn two_mass(
     s: &Signals,
     [stiffness, damping, inertia]: [f64; 3],
     (x0, w0): (f64, f64),
     load: &[f64],
+    n: usize,
 ) -> (Vec<f64>, Vec<f64>) {
     let natural = (stiffness / inertia.max(1e-12)).sqrt();
     let substeps = (natural / s.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
     let dt = 1.0 / (s.rate_hz * substeps as f64);
-    let (mut x, mut w) = (s.theta[0] + x0, s.omega[0] + w0);
-    let (mut deflection, mut slip) = (Vec::with_capacity(s.n), Vec::with_capacity(s.n));
-    for k in 0..s.n {
+    let (motion, speed) = (s.sharpened(&s.theta), s.sharpened(&s.omega));
+    let (mut x, mut w) = (motion[0] + x0, speed[0] + w0);
+    let (mut deflection, mut slip) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    for k in 0..n {
         let next = (k + 1).min(s.n - 1);
-        deflection.push(x - s.theta[k]);
-        slip.push(w - s.omega[k]);
+        deflection.push(x - motion[k]);
+        slip.push(w - speed[k]);
         for j in 0..substeps {
             let share = (j as f64 + 0.5) / substeps as f64;
-            let theta = s.theta[k] + share * (s.theta[next] - s.theta[k]);
-            let omega = s.omega[k] + share * (s.omega[next] - s.omega[k]);
+            let (theta, omega) = (between(&motion, k, share), between(&speed, k, share));
             // implicit midpoint rule: no damping but the spring's own
             let load = load[k] + share * (load[next] - load[k]);
             let half = 0.5 * dt / inertia;
@@ -536,6 +560,13 @@ fn two_mass(
         }
     }
     (deflection, slip)
+}
+
+/// What is believed of the amplitudes of an effect before the fit: their standard deviation around 0, none where they may be
+/// anything. Friction behind a spring is a share of the friction that there is; left free it runs away along with the clocks of
+/// the sensors, and takes the spring's damping with it.
+pub fn trust(kind: EffectKind) -> Option<f64> {
+    (kind == EffectKind::Compliance).then_some(1.0)
 }
 
 /// The effect from shape parameters and fitted amplitudes.

@@ -33,6 +33,14 @@ impl Mechanics {
         }
     }
 
+    /// By how many samples the moments at which angle and speed are measured are later than the common one.
+    pub fn ahead(&self) -> [f64; 2] {
+        match self {
+            Self::Steady => [0.0; 2],
+            Self::Moving(w) => w.ahead(),
+        }
+    }
+
     pub fn group(&self) -> usize {
         match self {
             Self::Steady => 1,

@@ -43,6 +43,8 @@ pub struct RigConstants {
     pub from_position: bool,
     /// error of the angle sensor as far as it is known: amplitudes of sine and cosine [rad]
     pub encoder: (f64, f64),
+    /// half-width of the play before the user [rad]
+    pub play: f64,
     /// of the controller's law [drive unit per rad/s]
     pub speed_gain: f64,
 }

@@ -10,7 +10,7 @@ use crate::equations::whitener::Rows;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{Run, extent, range};
-use sim_worker::effect::{self, Equation, Play};
+use sim_worker::effect::{self, Equation};
 use std::ops::Range;
 
 /// Mains frequencies looked for [Hz].
@@ -383,7 +383,7 @@ impl Problem {
                 }
                 Equation::Transmission => {
                     let (u, t) = (raw(C::UserPosition, 0), raw(C::Position, 0));
-                    let followed = played(s, rig.play);
+                    let followed = s.played(&s.theta, rig.play);
                     let lag: Vec<f64> = followed.iter().zip(&s.theta).map(|(f, t)| f - t).collect();
                     let lag = common(0, &lag);
                     for i in 0..y.len() {
@@ -488,7 +488,10 @@ impl Problem {
                 let t = torque.get_or_insert_with(|| vec![0.0; s.n]);
                 t.iter_mut().zip(signals::rate_of(&x, rate)).for_each(|(t, r)| *t += r);
             }
-            let (angle, speed) = (sum(Equation::Kinematic, 0), sum(Equation::Kinematic, 1));
+            // what stands in a measured angle or speed stands there at that sensor's moment
+            let ahead = self.mechanics.ahead();
+            let at_sensor = |order: usize| Some(signals::later(&sum(Equation::Kinematic, order)?, ahead[order]));
+            let (angle, speed) = (at_sensor(0), at_sensor(1));
             if torque.is_some() || angle.is_some() || speed.is_some() {
                 let rows = self
                     .mechanics
@@ -646,15 +649,6 @@ fn moved(x: &[f64], samples: i64) -> Vec<f64> {
 fn within(bank: &FilterBank, order: usize, x: &[f64], k: usize) -> f64 {
     let half = bank.half();
     bank.order[order].at(x, k.clamp(half, x.len() - 1 - half))
-}
-
-/// The user's angle behind the known play, which starts where the user's sensor says.
-fn played(s: &Signals, half: f64) -> Vec<f64> {
-    let theta = &s.theta;
-    let lag = s.user.as_ref().map_or(0.0, |u| u[0] - s.position[0]);
-    let start = theta[0] + if lag.abs() <= 1.05 * half { lag } else { 0.0 };
-    let mut play = Play::new(2.0 * half, start);
-    theta.iter().map(|t| play.step(*t)).collect()
 }
 
 /// Correlation of filtered white noise over `lag` samples.

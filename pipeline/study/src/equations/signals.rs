@@ -5,6 +5,7 @@ use crate::equations::pieces::true_angle;
 use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{self, ChannelNoise, Run};
+use sim_worker::effect::Play;
 use std::collections::BTreeMap;
 
 /// Highest corner of the filters as a share of the sampling rate, and lowest corner [Hz] (assumed).
@@ -58,6 +59,8 @@ pub struct Signals {
     pub n: usize,
     pub rate_hz: f64,
     pub start_s: f64,
+    /// standard deviation of the smoother [samples], 0 without
+    pub smooth: f64,
     /// smoothed angle [rad], speed [rad/s], acceleration [rad/s2]
     pub theta: Vec<f64>,
     pub omega: Vec<f64>,
@@ -202,6 +205,31 @@ pub fn rate_of(x: &[f64], rate_hz: f64) -> impl Iterator<Item = f64> {
     })
 }
 
+/// A signal between the samples `k` and `k + 1`: the cubic with the slopes of the central differences (Catmull and Rom, 1974).
+/// A straight line loses `(w T)^2 / 12` of a sine.
+pub fn between(x: &[f64], k: usize, share: f64) -> f64 {
+    let Some((&a, &b)) = x.get(k).zip(x.get(k + 1)) else {
+        return x[k];
+    };
+    // at the ends a parabola through the three nearest, or the line through two
+    let (before, after) = match (k.checked_sub(1).map(|i| x[i]), x.get(k + 2)) {
+        (Some(before), Some(&after)) => (before, after),
+        (Some(before), None) => (before, 3.0 * (b - a) + before),
+        (None, Some(&after)) => (3.0 * (a - b) + after, after),
+        (None, None) => (2.0 * a - b, 2.0 * b - a),
+    };
+    let (u, v) = (share, 1.0 - share);
+    a + u * (b - a) + 0.5 * u * v * (v * (2.0 * a - b - before) - u * (a - 2.0 * b + after))
+}
+
+/// The same, `shift` samples later at every sample, from 0 to 1.
+pub fn later(x: &[f64], shift: f64) -> Vec<f64> {
+    if shift == 0.0 {
+        return x.to_vec();
+    }
+    (0..x.len()).map(|k| between(x, k, shift)).collect()
+}
+
 /// Straight interpolation of `x` at `shift` samples later.
 pub fn shifted(x: &[f64], shift: f64) -> Vec<f64> {
     if shift.abs() < 1e-9 {
@@ -342,6 +370,32 @@ impl Signals {
         if self.supply.is_some() { rows / 2 } else { rows }
     }
 
+    /// A smoothed signal with what the smoother takes from it given back: up to the fourth power of the frequency, so that
+    /// three quarters of a sine become 99 %. For what a spring makes of the motion.
+    pub fn sharpened(&self, x: &[f64]) -> Vec<f64> {
+        let n = x.len();
+        if self.smooth == 0.0 || n < 3 {
+            return x.to_vec();
+        }
+        let bend = |x: &[f64]| -> Vec<f64> {
+            let at = |k: usize| x[k - 1] - 2.0 * x[k] + x[k + 1];
+            (0..n).map(|k| if k == 0 || k + 1 == n { 0.0 } else { at(k) }).collect()
+        };
+        let half = 0.5 * self.smooth * self.smooth;
+        let (second, fourth) = (bend(x), bend(&bend(x)));
+        let given = second.iter().zip(&fourth).map(|(d2, d4)| half * (0.5 * half * d4 - d2));
+        x.iter().zip(given).map(|(x, g)| x + g).collect()
+    }
+
+    /// The user's angle behind a play of half-width `half` that follows `theta`; it starts where the user's sensor says.
+    pub fn played(&self, theta: &[f64], half: f64) -> Vec<f64> {
+        let ahead = theta[0] - self.theta[0];
+        let lag = self.user.as_ref().map_or(0.0, |u| u[0] - self.position[0] - ahead);
+        let start = theta[0] + if lag.abs() <= 1.05 * half { lag } else { 0.0 };
+        let mut play = Play::new(2.0 * half, start);
+        theta.iter().map(|t| play.step(*t)).collect()
+    }
+
     /// A friction map.
     fn steady(bench: &Bench, run: &Run) -> Self {
         let n = run.samples;
@@ -352,6 +406,7 @@ impl Signals {
             n,
             rate_hz: run.rate_hz,
             start_s: 0.0,
+            smooth: 0.0,
             theta: vec![0.0; n],
             accel: vec![0.0; n],
             sign: omega.iter().map(|w| w.signum()).collect(),
@@ -485,6 +540,7 @@ impl Signals {
             n: run.samples,
             rate_hz,
             start_s: run.start_s,
+            smooth: clock.smooth,
             // of the sensor, in all runs the same
             rest: if run.channel(BenchChannel::Position).is_some() {
                 0.0

@@ -134,6 +134,12 @@ impl Whitener {
         self.design.torque_noise
     }
 
+    /// By how many samples angle and speed are later than the middle of the sample whose torque is a mean.
+    pub fn ahead(&self) -> [f64; 2] {
+        let d = &self.design;
+        [d.position, d.velocity].map(|c| (0.5 - c.map_or(0.0, |c| c.1) / d.dt).clamp(0.0, 1.0))
+    }
+
     /// Samples in a row.
     pub fn group(&self) -> usize {
         self.design.group

@@ -299,6 +299,7 @@ mod tests {
             n: N,
             rate_hz: 1.0 / DT,
             start_s: 0.0,
+            smooth: 0.0,
             theta: q.clone(),
             omega: speed,
             accel: zero(),

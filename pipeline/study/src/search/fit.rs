@@ -143,17 +143,8 @@ pub fn assembled<'a>(p: &Problem, regressors: &'a [Regressor]) -> (Vec<f64>, Vec
 /// Solves for nuisance parameters and amplitudes of terms whose shapes are given; the standard
 /// deviations of the equations are those of the residuals, in three rounds.
 pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Term], sigma0: [f64; 5]) -> Fit {
-    let mut freed;
-    let mut nuisances = nuisances;
-    // whether what is said of the inertia is with the load on its spring or without it, nobody knows
-    if terms.iter().any(|t| t.kind == EffectKind::Compliance) {
-        freed = nuisances.to_vec();
-        let inertia = freed.iter_mut().filter(|n| n.name == "inertia");
-        inertia.for_each(|n| n.trust = n.trust.map(|t| t.max(1.0)));
-        nuisances = &freed;
-    }
-    let tied = without_law_clock(nuisances, terms.iter().map(|t| t.kind));
-    let nuisances = tied.as_deref().unwrap_or(nuisances);
+    let beside = beside(nuisances, terms.iter().map(|t| t.kind));
+    let nuisances = beside.as_deref().unwrap_or(nuisances);
     let mut fit = solve_freely(p, c, nuisances, terms, sigma0);
     // a sensor is as good as it is, a constant about what it is said to be: what goes further is not their error
     let mut held = nuisances.to_vec();
@@ -192,14 +183,21 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
     fit
 }
 
-/// Nuisances beside a drive that is late: the law's clock would be the same delay once more.
-pub fn without_law_clock(nuisances: &[Nuisance], kinds: impl IntoIterator<Item = EffectKind>) -> Option<Vec<Nuisance>> {
-    kinds.into_iter().any(|k| k == EffectKind::ControlDelay).then(|| {
-        let mut tied = nuisances.to_vec();
-        let clock = tied.iter_mut().filter(|n| n.name == "law_clock");
-        clock.for_each(|n| n.trust = Some(1e-9));
-        tied
-    })
+/// What is believed of nuisances beside effects, where it is another: beside a drive that is late the law's clock would be the
+/// same delay once more; whether what is said of the inertia is with a load on its spring or without it, nobody knows.
+pub fn beside(nuisances: &[Nuisance], kinds: impl IntoIterator<Item = EffectKind>) -> Option<Vec<Nuisance>> {
+    let mut all: Option<Vec<Nuisance>> = None;
+    for kind in kinds {
+        let (name, trust): (_, fn(Option<f64>) -> Option<f64>) = match kind {
+            EffectKind::ControlDelay => ("law_clock", |_| Some(1e-9)),
+            EffectKind::Compliance => ("inertia", |t| t.map(|t| t.max(1.0))),
+            _ => continue,
+        };
+        let named = all.get_or_insert_with(|| nuisances.to_vec()).iter_mut();
+        let named = named.filter(|n| n.name == name);
+        named.for_each(|n| n.trust = trust(n.trust));
+    }
+    all
 }
 
 /// Most of a column's energy that may be noise for its share to be taken out of the solution (assumed).
@@ -211,12 +209,20 @@ const MOST_SIGMAS: f64 = 3.0;
 /// Same of a constant of the machine that a bench trusts; friction may be anything.
 pub const MOST_BELIEF: f64 = 4.0;
 
+/// What is believed of each amplitude of the terms.
+fn trusts(terms: &[Term], regs: &[Regressor]) -> Vec<Option<f64>> {
+    let each = terms.iter().zip(regs);
+    each.flat_map(|(t, r)| r.linear.iter().map(|_| columns::trust(t.kind)))
+        .collect()
+}
+
 fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Term], sigma0: [f64; 5]) -> Fit {
     let regs = regressors(p, terms, c);
     let (y, further) = assembled(p, &regs);
     let columns: Vec<&Vec<f64>> = p.base.iter().chain(&p.local).chain(further.iter().copied()).collect();
     // columns of the measured current beside the resistance's
     let first = p.base.len() + p.local.len();
+    let trusts = trusts(terms, &regs);
     let kinds = terms
         .iter()
         .zip(&regs)
@@ -233,9 +239,11 @@ fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[
         .collect();
     let (mut sigma, mut fit) = (sigma0, None);
     for _ in 0..3 {
-        let (x, residual) = weighted(p, nuisances, &columns, &y, &sigma, &noisy);
+        let (x, residual) = weighted(p, (nuisances, &trusts), &columns, &y, &sigma, &noisy);
         let energy = p.energy(&residual);
-        let prior = disbelief(nuisances, &x);
+        let amplitudes = trusts.iter().zip(&x[first..]);
+        let of_amplitudes: f64 = amplitudes.filter_map(|(t, x)| Some((x / (*t)?).powi(2))).sum();
+        let prior = disbelief(nuisances, &x) + of_amplitudes;
         let count = Equation::ALL.map(|e| p.rows_of(e) as f64);
         let mut terms = terms.to_vec();
         let mut at = p.base.len() + p.local.len();
@@ -269,7 +277,15 @@ fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[
 
 /// What is believed of nuisances and of the columns of single runs, added to normal equations whose columns are divided by
 /// `norms`: nuisances first, then the columns of single runs, then others.
-fn believe(gram: &mut DMatrix<f64>, right: &mut DVector<f64>, p: &Problem, nuisances: &[Nuisance], norms: &[f64]) {
+///
+/// * `trusts` of those others, where there is a belief
+fn believe(
+    gram: &mut DMatrix<f64>,
+    right: &mut DVector<f64>,
+    p: &Problem,
+    (nuisances, trusts): (&[Nuisance], &[Option<f64>]),
+    norms: &[f64],
+) {
     for (j, nuisance) in nuisances.iter().enumerate() {
         if let Some(t) = nuisance.trust {
             let t = t.max(1e-9);
@@ -277,7 +293,7 @@ fn believe(gram: &mut DMatrix<f64>, right: &mut DVector<f64>, p: &Problem, nuisa
             right[j] += nuisance.centre / t.powi(2) / norms[j];
         }
     }
-    for (j, trust) in p.local_trust.iter().enumerate() {
+    for (j, trust) in p.local_trust.iter().chain(trusts).enumerate() {
         if let Some(t) = trust {
             let j = j + nuisances.len();
             gram[(j, j)] += (1.0 / t.max(1e-12) / norms[j]).powi(2);
@@ -314,7 +330,7 @@ fn shared(p: &Problem, name: &str, sigma: &[f64; 5]) -> Vec<(&'static str, f64)>
 /// * `noisy` columns beyond the nuisances' that hold the measured current as the resistance's does
 fn weighted(
     p: &Problem,
-    nuisances: &[Nuisance],
+    (nuisances, trusts): (&[Nuisance], &[Option<f64>]),
     columns: &[&Vec<f64>],
     y: &[f64],
     sigma: &[f64; 5],
@@ -338,7 +354,7 @@ fn weighted(
         .collect();
     let mut gram = DMatrix::from_fn(n, n, |i, j| if j <= i { rows[i][j] } else { rows[j][i] });
     let mut right = DVector::from_fn(n, |i, _| dot(&scaled[i], &yw) / norms[i]);
-    believe(&mut gram, &mut right, p, nuisances, &norms);
+    believe(&mut gram, &mut right, p, (nuisances, trusts), &norms);
     // noise that stands in the left-hand side and in a column
     let parts: Vec<Vec<(&str, f64)>> = nuisances.iter().map(|n| shared(p, n.name, sigma)).collect();
     // where the noise is most of what is seen, there is nothing to be corrected, in any column that holds it
@@ -381,6 +397,7 @@ pub fn crossed(p: &Problem, c: &RigConstants, fit: &Fit, fold: &[usize], folds: 
     let nuisances = &fit.believed;
     let regs = regressors(p, &fit.terms, c);
     let (y, further) = assembled(p, &regs);
+    let trusts = trusts(&fit.terms, &regs);
     let columns: Vec<&Vec<f64>> = p.base.iter().chain(&p.local).chain(further.iter().copied()).collect();
     let n = columns.len();
     let weights = p.weights(&fit.sigma);
@@ -417,7 +434,7 @@ pub fn crossed(p: &Problem, c: &RigConstants, fit: &Fit, fold: &[usize], folds: 
             let lower = &all - &grams[f];
             let mut g = DMatrix::from_fn(n, n, |i, j| if j <= i { lower[(i, j)] } else { lower[(j, i)] });
             let mut b = &right - &rights[f];
-            believe(&mut g, &mut b, p, nuisances, &norms);
+            believe(&mut g, &mut b, p, (nuisances, &trusts), &norms);
             g.cholesky().map_or_else(|| DVector::zeros(n), |c| c.solve(&b))
         })
         .collect();
@@ -446,7 +463,7 @@ pub fn without_local(p: &Problem, r: Vec<f64>, sigma: &[f64; 5]) -> Vec<f64> {
         return r;
     }
     let columns: Vec<&Vec<f64>> = p.local.iter().collect();
-    weighted(p, &[], &columns, &r, sigma, &[]).1
+    weighted(p, (&[], &[]), &columns, &r, sigma, &[]).1
 }
 
 /// The effect of a term, in its canonical parameters.

@@ -27,6 +27,8 @@ pub struct Intervals {
     pub nuisance: Vec<f64>,
     /// of each term's canonical parameters
     pub terms: Vec<Vec<f64>>,
+    /// correlations of each term's canonical parameters, row by row
+    pub term_correlation: Vec<Vec<f64>>,
     /// correlations of the nuisance parameters, row by row
     pub correlation: Vec<f64>,
 }
@@ -145,10 +147,19 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
         })
         .collect();
     let mut h = DMatrix::from_fn(count, count, |a, b| if b <= a { rows[a][b] } else { rows[b][a] });
-    for (i, n) in m.nuisances.iter().enumerate() {
-        if let Some(t) = n.trust {
-            h[(i, i)] += (1.0 / t.max(1e-9) / norm[i]).powi(2);
-        }
+    // one over what is believed of nuisances and amplitudes, in the columns' own scale
+    let nuisances = m.nuisances.iter().map(|n| n.trust);
+    let amplitudes = fit
+        .terms
+        .iter()
+        .flat_map(|t| t.amplitudes.iter().map(|_| columns::trust(t.kind)));
+    let beliefs: Vec<(usize, f64)> = nuisances
+        .chain(amplitudes)
+        .enumerate()
+        .filter_map(|(i, t)| Some((i, 1.0 / t?.max(1e-9) / norm[i])))
+        .collect();
+    for (i, b) in &beliefs {
+        h[(*i, *i)] += b * b;
     }
     for i in 0..count {
         h[(i, i)] += 1e-9;
@@ -158,6 +169,7 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
         return Intervals {
             nuisance: vec![f64::INFINITY; m.nuisances.len()],
             terms: fit.terms.iter().map(wide).collect(),
+            term_correlation: fit.terms.iter().map(|t| identity(t.kind.keys().len())).collect(),
             correlation: identity(m.nuisances.len()),
         };
     };
@@ -190,11 +202,9 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
     let n = blocks.len() as f64;
     let mut a = spread(&blocks, n / (n - 1.0).max(1.0));
     // what only a belief says is as uncertain as the belief
-    for (i, nuisance) in m.nuisances.iter().enumerate() {
-        if let Some(t) = nuisance.trust {
-            let x = inverse.column(i) * (BELIEF / t.max(1e-9) / norm[i]);
-            a += &x * x.transpose();
-        }
+    for (i, b) in &beliefs {
+        let x = inverse.column(*i) * (BELIEF * b);
+        a += &x * x.transpose();
     }
     let runs = by_run.len() as f64;
     let fitted = m.fit.signals.len() as f64;
@@ -229,7 +239,7 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
     let amplitudes_at = m.nuisances.len();
     let shapes_at = amplitudes_at + fit.terms.iter().map(|t| t.amplitudes.len()).sum::<usize>();
     let kt = m.nuisances.iter().position(|n| n.name == "torque_constant");
-    let mut terms = Vec::new();
+    let (mut terms, mut term_correlation) = (Vec::new(), Vec::new());
     let mut first = amplitudes_at;
     for (t, term) in fit.terms.iter().enumerate() {
         let mut vary: Vec<(usize, Change, f64)> = Vec::new();
@@ -244,10 +254,8 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
         let value = |x: &Term| -> Effect { fit::effect_of(x, &m.constants, p) };
         let middle = value(term);
         let keys = term.kind.keys().len();
-        let mut half = Vec::new();
-        for key in 0..keys {
-            let slopes: Vec<(usize, f64)> = vary
-                .iter()
+        let slopes_of = |key: usize| -> Vec<(usize, f64)> {
+            vary.iter()
                 .map(|(i, change, d)| {
                     let (mut up, mut down) = (term.clone(), term.clone());
                     change(&mut up, *d);
@@ -259,25 +267,36 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
                     }
                     (*i, difference / (2.0 * d))
                 })
-                .collect();
-            let mut variance = 0.0;
-            for (i, x) in &slopes {
-                for (k, y) in &slopes {
-                    variance += x * y * cov(*i, *k);
-                }
-            }
+                .collect()
+        };
+        let slopes: Vec<_> = (0..keys).map(slopes_of).collect();
+        let shared = |a: usize, b: usize| -> f64 {
+            let each = slopes[a].iter().flat_map(|x| slopes[b].iter().map(move |y| (x, y)));
+            each.map(|((i, x), (k, y))| x * y * cov(*i, *k)).sum()
+        };
+        let mut half = Vec::new();
+        for key in 0..keys {
+            let mut variance = shared(key, key);
             // an amplitude in N m is as uncertain as the torque constant
             if let (0, true, Some(kt)) = (key, is_torque(term.kind), kt) {
                 variance += (middle.values[0] * sd(kt)).powi(2);
             }
             half.push(NORMAL_95 * variance.max(0.0).sqrt());
         }
+        let both = |k: usize| -> f64 {
+            let (a, b) = (k / keys, k % keys);
+            let deviation = |i: usize| half[i] / NORMAL_95;
+            let r = shared(a, b) / (deviation(a) * deviation(b)).max(1e-300);
+            if a == b { 1.0 } else { r.clamp(-1.0, 1.0) }
+        };
+        term_correlation.push((0..keys * keys).map(both).collect());
         terms.push(half);
         first += term.amplitudes.len();
     }
     Intervals {
         nuisance,
         terms,
+        term_correlation,
         correlation,
     }
 }

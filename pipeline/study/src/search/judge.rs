@@ -268,8 +268,11 @@ fn small(m: &Material, model: &Fit, next: &Fit) -> bool {
         all.iter_mut().zip(&c).for_each(|(a, c)| *a += c);
         touched |= !matches!(t.kind.equation(), Equation::Torque);
     }
-    let e = Equation::Torque.index();
-    !touched && p.energy(&all)[e] < LEAST_TORQUE.powi(2) * p.energy(&p.drive)[e]
+    let (e, user) = (Equation::Torque.index(), Equation::Transmission.index());
+    let energy = p.energy(&all);
+    // a spring bends before the user's sensor, whatever its torque
+    touched |= energy[user] > p.sensor_energy(user);
+    !touched && energy[e] < LEAST_TORQUE.powi(2) * p.energy(&p.drive)[e]
 }
 
 /// By equation, the excess energy of the fit runs' blocks that are far beyond the noise and that a model leaves as

@@ -201,7 +201,8 @@ impl<'a> Scan<'a> {
         let m = free.len();
         let mut amplitudes = Vec::new();
         if m > 0 {
-            let gram = DMatrix::from_fn(m, m, |i, j| dot(&free[i], &free[j]));
+            let belief = columns::trust(kind).map_or(0.0, |t| t.powi(-2));
+            let gram = DMatrix::from_fn(m, m, |i, j| dot(&free[i], &free[j]) + if i == j { belief } else { 0.0 });
             let right = DVector::from_fn(m, |i, _| dot(&free[i], &rest));
             amplitudes = gram.cholesky()?.solve(&right).iter().copied().collect();
             if !admissible(kind, &amplitudes) {
@@ -210,6 +211,7 @@ impl<'a> Scan<'a> {
             for (a, c) in amplitudes.iter().zip(&free) {
                 rest.iter_mut().zip(c).for_each(|(r, c)| *r -= a * c);
             }
+            rest.extend(amplitudes.iter().map(|a| a * belief.sqrt()));
         }
         Some(self.scored(&rest, amplitudes))
     }

@@ -322,6 +322,16 @@ impl Material {
         self.again(bench, nuisances, (excess, self.excess.1))
     }
 
+    /// Terms of the equations around other constants: a load on its spring is a share of the inertia.
+    pub fn carried(&self, before: &Self, terms: &[Term]) -> Vec<Term> {
+        let factor = self.constants.inertia / before.constants.inertia.max(1e-300);
+        let mut all = terms.to_vec();
+        for t in all.iter_mut().filter(|t| t.kind == EffectKind::Compliance) {
+            t.shape.iter_mut().for_each(|x| *x *= factor);
+        }
+        all
+    }
+
     /// The same without what is believed of constants that a fit holds at the end of their belief, though a voltage shows them;
     /// `None` where there are none.
     pub(super) fn let_go(&self, fit: &Fit) -> Option<Self> {
@@ -357,13 +367,21 @@ impl Material {
         let nuisances: Vec<Nuisance> = pairs
             .map(|(n, held)| if n.of_machine { n } else { held }.clone())
             .collect();
-        let scan = Scan::new(&self.fit, &self.constants, &nuisances, &y, &further, model.sigma).with_orders();
+        let of = |n: &[Nuisance]| Scan::new(&self.fit, &self.constants, n, &y, &further, model.sigma);
+        let scan = of(&nuisances).with_orders();
+        // a load on its spring, beside an inertia that may be anything
+        let freed = fit::beside(
+            &nuisances,
+            kinds.iter().copied().filter(|k| *k == EffectKind::Compliance),
+        );
+        let freed = freed.map(|n| of(&n));
         let silent = excitation::not_excited(self);
         let mut all: Vec<Ranked> = kinds
             .par_iter()
             .filter(|k| !silent.iter().any(|s| s.0 == k.name()))
             .filter(|k| takes_several(**k) || !model.terms.iter().any(|t| t.kind == **k))
             .filter_map(|&k| {
+                let scan = freed.as_ref().filter(|_| k == EffectKind::Compliance).unwrap_or(&scan);
                 let (term, score) = scan.best(k)?;
                 let gain = score.log_likelihood - scan.none.log_likelihood;
                 Some(Ranked { term, score, gain })
@@ -387,7 +405,7 @@ impl Material {
                     .collect();
                 let regs: Vec<Regressor> = fit::regressors(&self.fit, &others, &self.constants);
                 let (y, further) = fit::assembled(&self.fit, &regs);
-                let tied = fit::without_law_clock(&self.nuisances, terms.iter().map(|t| t.kind));
+                let tied = fit::beside(&self.nuisances, terms.iter().map(|t| t.kind));
                 let nuisances = tied.as_ref().unwrap_or(&self.nuisances);
                 let scan = Scan::new(&self.fit, &self.constants, nuisances, &y, &further, sigma);
                 if let Some(score) = scan.score(terms[i].kind, &terms[i].shape) {

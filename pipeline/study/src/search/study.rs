@@ -182,11 +182,13 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         }
         model = next;
         for round in 0..2 {
-            m = m.around(&model);
+            let around = m.around(&model);
+            let before = std::mem::replace(&mut m, around);
             if round == 0 {
                 m = m.on_time(&model.terms);
             }
-            model = m.polish(&m.solve(&model.terms, model.sigma), 1);
+            let terms = m.carried(&before, &model.terms);
+            model = m.polish(&m.solve(&terms, model.sigma), 1);
         }
         model = needed(&m, model);
     }
@@ -200,8 +202,10 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
     while let Some(vague) = vague(&m, &model) {
         model = m.dropped(&model, vague);
-        m = m.around(&model);
-        model = m.polish(&m.solve(&model.terms, model.sigma), 1);
+        let around = m.around(&model);
+        let before = std::mem::replace(&mut m, around);
+        let terms = m.carried(&before, &model.terms);
+        model = m.polish(&m.solve(&terms, model.sigma), 1);
     }
     // constants that nothing of the list explains may have one cause together
     let told = |t: &Term| matches!(t.kind, EffectKind::CurrentGain | EffectKind::WindingHeating);
@@ -258,7 +262,8 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
 fn one_cause(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<(Material, Fit)> {
     let loose = m.let_go(model)?;
     let loose = loose.around(&loose.solve(&model.terms, model.sigma));
-    let fit = loose.polish(&loose.solve(&model.terms, model.sigma), 1);
+    let terms = loose.carried(m, &model.terms);
+    let fit = loose.polish(&loose.solve(&terms, model.sigma), 1);
     beside::together(&loose, &fit, first).map(|_| (loose, fit))
 }
 

@@ -31,6 +31,8 @@ pub struct FoundEffect {
     pub term: String,
     /// its amplitudes and shape
     pub parameters: Vec<Identified>,
+    /// correlations of their errors, row by row; empty where they are not known
+    pub correlation: Vec<f64>,
     /// of the excess energy that its equation has on the fit runs without it, all else fitted again
     pub explained_share: f64,
     /// the best candidate beside it in the same step

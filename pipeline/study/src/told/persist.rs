@@ -232,6 +232,15 @@ pub fn effect(found: &FoundEffect, parent: Option<&str>, source: &str, notes: Ve
     }
     let mut e = Effect::new(kind, &values[..kind.keys().len()]);
     e.intervals = Some(intervals);
+    let n = kind.keys().len();
+    if n > 1 && found.correlation.len() == n * n {
+        let of = |i: usize, k: usize| found.correlation.get(i * n + k).copied().unwrap_or(0.0);
+        e.correlation = Some(if n == 2 {
+            [of(0, 1), 0.0, 0.0]
+        } else {
+            [of(0, 1), of(0, 2), of(1, 2)]
+        });
+    }
     e.source = format!("identified: {source}");
     e.parent = parent.map(str::to_string);
     e.provenance = notes;

@@ -216,6 +216,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                 equation: term.kind.equation().name().to_string(),
                 term: term_text(term.kind).to_string(),
                 parameters,
+                correlation: i.term_correlation[t].clone(),
                 explained_share: share.clamp(0.0, 1.0),
                 runner_up: runner_up.map(|k| k.name().to_string()),
                 ambiguous_with: o
@@ -251,6 +252,7 @@ fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
             unit: key.unit.to_string(),
             nominal: None,
         }],
+        correlation: Vec::new(),
         explained_share: (1.0 - (b.after / b.before.max(1e-300)).powi(2)).clamp(0.0, 1.0),
         runner_up: None,
         ambiguous_with: b.ambiguous.iter().map(|k| k.name().to_string()).collect(),
