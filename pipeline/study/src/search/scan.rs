@@ -75,6 +75,9 @@ impl Basis {
     }
 }
 
+/// Springs of the grid that are refined.
+const SPRINGS: usize = 4;
+
 /// What candidates are measured against.
 pub struct Scan<'a> {
     pub problem: &'a Problem,
@@ -239,6 +242,16 @@ impl<'a> Scan<'a> {
             .filter_map(|s| self.score(kind, &s).map(|x| (s, x)))
             .collect();
         let better = |a: &&(Vec<f64>, Score), b: &&(Vec<f64>, Score)| a.1.log_likelihood.total_cmp(&b.1.log_likelihood);
+        if kind == EffectKind::Compliance {
+            // of a spring the nearest start leads to the nearest resonance
+            let mut scored = scored;
+            scored.sort_by(|a, b| b.1.log_likelihood.total_cmp(&a.1.log_likelihood));
+            let starts = scored.iter().take(SPRINGS).collect::<Vec<_>>();
+            let refined: Vec<_> = starts.par_iter().map(|(s, x)| self.refined(kind, s, x, 60)).collect();
+            return refined
+                .into_iter()
+                .max_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood));
+        }
         let (shape, score) = scored.iter().max_by(better)?;
         Some(self.refined(kind, shape, score, 40))
     }
@@ -248,8 +261,14 @@ impl<'a> Scan<'a> {
         let scales = shapes::scales(kind, shape.len());
         let free: Vec<usize> = (0..scales.len()).filter(|i| scales[*i].is_some()).collect();
         let limits = shapes::limits(kind, &self.problem.signals);
+        // stiffness and damping over the inertia behind them: those are known far better than the inertia
+        let over = kind == EffectKind::Compliance;
         let plain = |x: &[f64]| -> Vec<f64> {
             let mut s = shape.to_vec();
+            let mut x = x.to_vec();
+            if over {
+                (x[0], x[1]) = (x[0] + x[2], x[1] + x[2]);
+            }
             for (j, &i) in free.iter().enumerate() {
                 s[i] = if scales[i] == Some(true) { x[j].exp() } else { x[j] };
                 s[i] = s[i].clamp(limits[i].0, limits[i].1);
@@ -258,7 +277,7 @@ impl<'a> Scan<'a> {
         };
         let mut best = (shape.to_vec(), score.clone());
         if !free.is_empty() {
-            let start: Vec<f64> = free
+            let mut start: Vec<f64> = free
                 .iter()
                 .map(|&i| {
                     if scales[i] == Some(true) {
@@ -268,6 +287,9 @@ impl<'a> Scan<'a> {
                     }
                 })
                 .collect();
+            if over {
+                (start[0], start[1]) = (start[0] - start[2], start[1] - start[2]);
+            }
             let step: Vec<f64> = free
                 .iter()
                 .map(|&i| match (kind, scales[i]) {
