@@ -28,6 +28,9 @@ const FAR_LOOSE: f64 = 5.0;
 /// (assumed: a slope of the error in a torque that goes with the speed, and as much in its product with the angle).
 const ECHO: f64 = 2.0;
 const MOST_ECHOED: f64 = 2.5;
+/// Torque over the drive's, both rms, that dead time may make at the orders of the commutation: which phase conducts for how long
+/// around it is known less well then (assumed; up to 0.015 seen).
+const COMMUTATED: f64 = 0.03;
 /// Torque of an effect over the drive's, both rms, from which it matters (assumed).
 const LEAST_TORQUE: f64 = 2e-3;
 /// Length of the pieces in which a disturbance shows by itself [s] (assumed).
@@ -161,6 +164,8 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         OTHERWISE
     } else if echoed(m, model, next) {
         "the error of the angle sensor makes as much of other torques"
+    } else if commutated(m, next, model.terms.len()) {
+        "dead time makes as much of the torque at each commutation"
     } else if unshown(m, model, next) {
         "the voltage does not show it"
     } else if part(m, model, next) < LEAST_PART {
@@ -222,6 +227,25 @@ fn otherwise_loose(m: &Material, model: &Fit, next: &Fit) -> bool {
     let e = Equation::Transmission.index();
     let far = model.score.energy[e] > FAR_LOOSE * FAR_LOOSE * m.fit.sensor_energy(e);
     far && model.terms.iter().any(loose) && !next.terms[model.terms.len()..].iter().all(loose)
+}
+
+/// Whether a new torque, one of those from `first` on, repeats with the commutation of three phases beside a dead time, and is small.
+fn commutated(m: &Material, next: &Fit, first: usize) -> bool {
+    if !m.bench.has_phases() || !next.terms.iter().any(|t| t.kind == EffectKind::DeadTime) {
+        return false;
+    }
+    let (p, e) = (&m.fit, Equation::Torque.index());
+    let each = 6.0 * m.constants.effect.pole_pairs;
+    next.terms[first..]
+        .iter()
+        .filter(|t| shapes::has_order(t.kind))
+        .filter(|t| {
+            (t.shape[0] / each).round() >= 1.0 && (t.shape[0] / each - (t.shape[0] / each).round()).abs() < 0.02
+        })
+        .any(|t| {
+            let all = p.energy(&intervals::contribution(p, m, t))[e];
+            all < COMMUTATED.powi(2) * p.energy(&p.drive)[e]
+        })
 }
 
 /// Whether a new torque repeats once or twice a turn beside an angle sensor that is out of centre, and is no more than its error
