@@ -101,6 +101,49 @@ fn val_a_voltage_tells_the_constants_of_rigs_of_another_hand() {
     }
 }
 
+/// Units whose spring's resonance was 5 to 10 % off and its scale 10 to 90 %, or whose spring had no name; and one of whose dead time
+/// a torque ripple and a periodic friction stood.
+#[test]
+fn val_a_spring_of_another_hand_is_found_as_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    for (effect, seed) in [
+        ("compliance", 505),
+        ("compliance", 506),
+        ("compliance", 811002),
+        ("dead_time", 95001),
+    ] {
+        let folder = dir.path().join(seed.to_string());
+        let key = independent::make_unit(&folder, Some(effect), 1.0, seed).unwrap();
+        let request = Request {
+            bench: vec![folder.join("healthy_long_1.csv"), folder.join("healthy_long_2.csv")],
+            healthy: true,
+            ..Request::default()
+        };
+        let found = study_file(&request, &|_| {}).unwrap();
+        let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!(names, [effect], "{seed}");
+        if effect != "compliance" {
+            continue;
+        }
+        let hidden = key.key.effect.as_ref().unwrap();
+        let off = |name: &str| {
+            let said = found.effects[0].parameters.iter().find(|p| p.name == name).unwrap();
+            said.value / hidden.get(name)
+        };
+        let (k, c, j) = (off("stiffness"), off("damping"), off("inertia"));
+        let over = [k / j - 1.0, c / j - 1.0, j - 1.0];
+        assert!(
+            over[0].abs() < 0.02 && over[1].abs() < 0.08 && over[2].abs() < 0.2,
+            "{seed}: {over:?}"
+        );
+        assert!(
+            found.effects[0].correlation[2] > 0.8,
+            "{:?}",
+            found.effects[0].correlation
+        );
+    }
+}
+
 #[test]
 fn val_recordings_of_an_independent_program_get_their_names_and_no_others() {
     let dir = tempfile::tempdir().unwrap();

@@ -123,6 +123,11 @@ fn prop_every_kind_reads_back_as_it_was_written() {
             intervals[i] = (e.values[i] - 1e-3 / 3.0, e.values[i] + 0.1 + 1e-17);
         }
         e.intervals = Some(intervals);
+        e.correlation = match kind.keys().len() {
+            1 => None,
+            2 => Some([-0.1 / 3.0, 0.0, 0.0]),
+            _ => Some([0.99, 1.0 / 3.0, -1.0]),
+        };
         e.source = "two \"runs\", \\ and\nmore: \u{7} \u{e9}".into();
         e.parent = Some("0123abcd".into());
         e.provenance = vec![
@@ -142,10 +147,37 @@ fn prop_every_kind_reads_back_as_it_was_written() {
 }
 
 #[test]
+fn prop_values_that_were_found_together_deviate_together() {
+    let mut e = Effect::new(EffectKind::Compliance, &[10.0, 0.01, 1e-5]);
+    e.intervals = Some([(8.04, 11.96), (0.00804, 0.01196), (0.804e-5, 1.196e-5)]);
+    let moved = |e: &Effect, amplitude| -> [f64; 3] {
+        let mut m = e.clone();
+        m.deviate(amplitude, 1.0);
+        std::array::from_fn(|i| m.values[i] / e.values[i] - 1.0)
+    };
+    let near = |a: [f64; 3], b: [f64; 3]| assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2e-3), "{a:?} {b:?}");
+    near(moved(&e, true), [0.1, 0.0, 0.0]);
+    near(moved(&e, false), [0.0, 0.1, 0.1]);
+    // all one: a standard deviation of each, and nothing across
+    e.correlation = Some([1.0; 3]);
+    near(moved(&e, true), [0.1; 3]);
+    near(moved(&e, false), [0.0; 3]);
+    // the squares of both directions are the variances, as far as two directions have them
+    e.correlation = Some([0.0, 0.9, 0.0]);
+    let (a, b) = (moved(&e, true), moved(&e, false));
+    near(a, [0.0975, 0.0, 0.0975]);
+    near(b, [0.0, 0.1, 0.0]);
+}
+
+#[test]
 fn prop_bad_effects_are_refused_in_one_line() {
     let stribeck = "name = \"stribeck\"\ntorque = 0.01\nspeed = 20.0\n";
     for (text, found) in [
         ("name = \"friction\"".to_string(), "allowed: stribeck, lubricated_rise"),
+        (
+            format!("{stribeck}exponent = 1\ncorrelation = [0.5, 2, 0]"),
+            "correlation`: found [0.5, 2, 0]; allowed: 3 numbers from -1 to 1",
+        ),
         ("torque = 1".into(), "found nothing; allowed: the name of an effect"),
         (
             stribeck.into(),

@@ -340,8 +340,17 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         // without a second sensor the noise of the motion would drive the column
         EffectKind::Compliance if s.user.is_none() => {}
         EffectKind::Compliance => {
-            let start = released(s, [shape[0], shape[1], shape[2]], &s.load);
-            let moved = |load: &[f64]| two_mass(s, [shape[0], shape[1], shape[2]], start, load, s.n);
+            let (motion, speed) = (s.sharpened(&s.theta), s.sharpened(&s.omega));
+            let spring = Spring {
+                stiffness: shape[0],
+                damping: shape[1],
+                inertia: shape[2],
+                rate_hz: s.rate_hz,
+                motion: &motion,
+                speed: &speed,
+            };
+            let start = released(s, &spring);
+            let moved = |load: &[f64]| spring.swings(start, load, s.n);
             // torque drives the common centre of both masses, from which the motor is off by the load's share of the inertia
             let behind = -shape[2] / c.inertia.max(1e-15);
             let pieces = |(deflection, slip): (Vec<f64>, Vec<f64>)| -> Column {
@@ -497,13 +506,13 @@ fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64, bounce: f64) ->
 
 /// How far [rad] and how fast [rad/s] the load is ahead of the motor when a run begins: what fits the user's sensor best while
 /// the spring remembers it.
-fn released(s: &Signals, shape: [f64; 3], load: &[f64]) -> (f64, f64) {
+fn released(s: &Signals, spring: &Spring<'_>) -> (f64, f64) {
     /// fewest and most samples that are looked at; time constants of the decay
     const FEWEST: usize = 12;
     const MOST: usize = 400;
     const DECAYS: f64 = 4.0;
     let Some(user) = s.user.as_ref() else { return (0.0, 0.0) };
-    let decay = 0.5 * shape[1] / shape[2].max(1e-12);
+    let decay = 0.5 * spring.damping / spring.inertia.max(1e-12);
     let remembered = (DECAYS * s.rate_hz / decay.max(1e-9)) as usize;
     // while it turns one way, a play before the sensor stays on one side
     let one_way = s.sign.iter().take_while(|x| **x * s.sign[0] > 0.0).count();
@@ -511,10 +520,10 @@ fn released(s: &Signals, shape: [f64; 3], load: &[f64]) -> (f64, f64) {
     if s.n < 2 * n {
         return (0.0, 0.0);
     }
-    let run = |start, load: &[f64]| two_mass(s, shape, start, load, n).0;
-    let still = run((0.0, 0.0), load);
+    let run = |start| spring.swings(start, &s.load, n).0;
+    let still = run((0.0, 0.0));
     let free = [(1e-3, 0.0), (0.0, 1.0)].map(|start| {
-        let moved = run(start, load);
+        let moved = run(start);
         moved.iter().zip(&still).map(|(m, s)| m - s).collect::<Vec<f64>>()
     });
     // deflection, slip and the sensors' zeros
@@ -526,40 +535,50 @@ fn released(s: &Signals, shape: [f64; 3], load: &[f64]) -> (f64, f64) {
     (1e-3 * x[0], x[1])
 }
 
-/// The load mass on its spring, driven by the motor's measured motion and a torque against it [N m]: angle [rad] and
-/// speed [rad/s] of the load less the motor's.
-///
-/// * `x0`, `w0` the same at the start, `n` samples that are wanted
-fn two_mass(
-    s: &Signals,
-    [stiffness, damping, inertia]: [f64; 3],
-    (x0, w0): (f64, f64),
-    load: &[f64],
-    n: usize,
-) -> (Vec<f64>, Vec<f64>) {
-    let natural = (stiffness / inertia.max(1e-12)).sqrt();
-    let substeps = (natural / s.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
-    let dt = 1.0 / (s.rate_hz * substeps as f64);
-    let (motion, speed) = (s.sharpened(&s.theta), s.sharpened(&s.omega));
-    let (mut x, mut w) = (motion[0] + x0, speed[0] + w0);
-    let (mut deflection, mut slip) = (Vec::with_capacity(n), Vec::with_capacity(n));
-    for k in 0..n {
-        let next = (k + 1).min(s.n - 1);
-        deflection.push(x - motion[k]);
-        slip.push(w - speed[k]);
-        for j in 0..substeps {
-            let share = (j as f64 + 0.5) / substeps as f64;
-            let (theta, omega) = (between(&motion, k, share), between(&speed, k, share));
-            // implicit midpoint rule: no damping but the spring's own
-            let load = load[k] + share * (load[next] - load[k]);
-            let half = 0.5 * dt / inertia;
-            let push = stiffness * (theta - x) + damping * omega - load;
-            let middle = (w + half * push) / (1.0 + half * (0.5 * dt * stiffness + damping));
-            w = 2.0 * middle - w;
-            x += middle * dt;
+/// A load mass on its spring, driven by the motor's measured motion.
+struct Spring<'a> {
+    /// [N m/rad]
+    stiffness: f64,
+    /// [N m s/rad]
+    damping: f64,
+    /// of the load [kg m2]
+    inertia: f64,
+    rate_hz: f64,
+    /// angle [rad] and speed [rad/s] of the motor
+    motion: &'a [f64],
+    speed: &'a [f64],
+}
+
+impl Spring<'_> {
+    /// Angle [rad] and speed [rad/s] of the load less the motor's over the first `n` samples.
+    ///
+    /// * `x0`, `w0` the same at the start
+    /// * `load` torque against the load [N m]
+    fn swings(&self, (x0, w0): (f64, f64), load: &[f64], n: usize) -> (Vec<f64>, Vec<f64>) {
+        let (motion, speed) = (self.motion, self.speed);
+        let natural = (self.stiffness / self.inertia.max(1e-12)).sqrt();
+        let substeps = (natural / self.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
+        let dt = 1.0 / (self.rate_hz * substeps as f64);
+        let (mut x, mut w) = (motion[0] + x0, speed[0] + w0);
+        let (mut deflection, mut slip) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        for k in 0..n {
+            let next = (k + 1).min(motion.len() - 1);
+            deflection.push(x - motion[k]);
+            slip.push(w - speed[k]);
+            for j in 0..substeps {
+                let share = (j as f64 + 0.5) / substeps as f64;
+                let (theta, omega) = (between(motion, k, share), between(speed, k, share));
+                // implicit midpoint rule: no damping but the spring's own
+                let load = load[k] + share * (load[next] - load[k]);
+                let half = 0.5 * dt / self.inertia;
+                let push = self.stiffness * (theta - x) + self.damping * omega - load;
+                let middle = (w + half * push) / (1.0 + half * (0.5 * dt * self.stiffness + self.damping));
+                w = 2.0 * middle - w;
+                x += middle * dt;
+            }
         }
+        (deflection, slip)
     }
-    (deflection, slip)
 }
 
 /// What is believed of the amplitudes of an effect before the fit: their standard deviation around 0, none where they may be

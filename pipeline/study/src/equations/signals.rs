@@ -222,6 +222,25 @@ pub fn between(x: &[f64], k: usize, share: f64) -> f64 {
     a + u * (b - a) + 0.5 * u * v * (v * (2.0 * a - b - before) - u * (a - 2.0 * b + after))
 }
 
+/// A smoothed signal with what the smoother takes from it given back, up to the fourth power of the frequency: of a sine that was
+/// left three quarters, 99 %.
+///
+/// * `deviation` of the smoother [samples]
+pub fn sharpened(x: &[f64], deviation: f64) -> Vec<f64> {
+    let n = x.len();
+    if deviation == 0.0 || n < 3 {
+        return x.to_vec();
+    }
+    let bend = |x: &[f64]| -> Vec<f64> {
+        let at = |k: usize| x[k - 1] - 2.0 * x[k] + x[k + 1];
+        (0..n).map(|k| if k == 0 || k + 1 == n { 0.0 } else { at(k) }).collect()
+    };
+    let half = 0.5 * deviation * deviation;
+    let (second, fourth) = (bend(x), bend(&bend(x)));
+    let given = second.iter().zip(&fourth).map(|(d2, d4)| half * (0.5 * half * d4 - d2));
+    x.iter().zip(given).map(|(x, g)| x + g).collect()
+}
+
 /// The same, `shift` samples later at every sample, from 0 to 1.
 pub fn later(x: &[f64], shift: f64) -> Vec<f64> {
     if shift == 0.0 {
@@ -370,21 +389,9 @@ impl Signals {
         if self.supply.is_some() { rows / 2 } else { rows }
     }
 
-    /// A smoothed signal with what the smoother takes from it given back: up to the fourth power of the frequency, so that
-    /// three quarters of a sine become 99 %. For what a spring makes of the motion.
+    /// A smoothed signal of the run as it was before, as far as that is known: for what a spring makes of the motion.
     pub fn sharpened(&self, x: &[f64]) -> Vec<f64> {
-        let n = x.len();
-        if self.smooth == 0.0 || n < 3 {
-            return x.to_vec();
-        }
-        let bend = |x: &[f64]| -> Vec<f64> {
-            let at = |k: usize| x[k - 1] - 2.0 * x[k] + x[k + 1];
-            (0..n).map(|k| if k == 0 || k + 1 == n { 0.0 } else { at(k) }).collect()
-        };
-        let half = 0.5 * self.smooth * self.smooth;
-        let (second, fourth) = (bend(x), bend(&bend(x)));
-        let given = second.iter().zip(&fourth).map(|(d2, d4)| half * (0.5 * half * d4 - d2));
-        x.iter().zip(given).map(|(x, g)| x + g).collect()
+        sharpened(x, self.smooth)
     }
 
     /// The user's angle behind a play of half-width `half` that follows `theta`; it starts where the user's sensor says.
@@ -721,6 +728,37 @@ pub fn noise_table(bench: &Bench, runs: &[Run]) -> NoiseTable {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_sine_that_was_smoothed_comes_back() {
+        // 150 Hz at 2 kHz, as far as springs of small drives swing
+        let step = std::f64::consts::TAU * 150.0 / 2000.0;
+        let sine: Vec<f64> = (0..400).map(|k| (step * f64::from(k)).sin()).collect();
+        let smooth = FilterBank::smoother(1.5, 2000.0, 0.0).whole(0, &sine);
+        let back = sharpened(&smooth, 1.5);
+        let far = |x: &[f64]| (100..300).map(|k| (x[k] - sine[k]).abs()).fold(0.0, f64::max);
+        assert!(
+            far(&smooth) > 0.2 && far(&back) < 0.012,
+            "{} {}",
+            far(&smooth),
+            far(&back)
+        );
+        assert_eq!(sharpened(&sine, 0.0), sine);
+    }
+
+    #[test]
+    fn a_parabola_is_met_between_its_samples() {
+        let of = |t: f64| 3.0 - 2.0 * t + 0.5 * t * t;
+        let x: Vec<f64> = (0..6).map(|k| of(f64::from(k))).collect();
+        for k in 0..5 {
+            for share in [0.0, 0.25, 0.5, 1.0] {
+                let off = between(&x, k, share) - of(k as f64 + share);
+                assert!(off.abs() < 1e-12, "{k} {share}: {off}");
+            }
+        }
+        assert_eq!(between(&x, 5, 0.5), x[5]);
+        assert_eq!(between(&[1.0, 3.0], 0, 0.5), 2.0);
+    }
 
     #[test]
     fn an_angle_sensor_out_of_centre_is_straightened() {
