@@ -188,14 +188,18 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
 pub fn beside(nuisances: &[Nuisance], kinds: impl IntoIterator<Item = EffectKind>) -> Option<Vec<Nuisance>> {
     let mut all: Option<Vec<Nuisance>> = None;
     for kind in kinds {
-        let (name, trust): (_, fn(Option<f64>) -> Option<f64>) = match kind {
-            EffectKind::ControlDelay => ("law_clock", |_| Some(1e-9)),
-            EffectKind::Compliance => ("inertia", |t| t.map(|t| t.max(1.0))),
+        let name = match kind {
+            EffectKind::ControlDelay => "law_clock",
+            EffectKind::Compliance => "inertia",
             _ => continue,
         };
         let named = all.get_or_insert_with(|| nuisances.to_vec()).iter_mut();
-        let named = named.filter(|n| n.name == name);
-        named.for_each(|n| n.trust = trust(n.trust));
+        for n in named.filter(|n| n.name == name) {
+            n.trust = match kind {
+                EffectKind::Compliance => n.trust.map(|t| t.max(1.0)),
+                _ => Some(1e-9),
+            };
+        }
     }
     all
 }
