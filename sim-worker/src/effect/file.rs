@@ -57,7 +57,7 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
             intervals[i] = interval.unwrap_or((x, x));
         }
         e.intervals = known.then_some(intervals);
-        let pairs = [0, 0, 1, 3][kind.keys().len()];
+        let pairs = kind.pairs();
         if pairs > 0 && t.may_have("correlation") {
             let mut r = [0.0; 3];
             r[..pairs].copy_from_slice(&t.numbers("correlation", -1.0..=1.0, pairs)?);
@@ -115,8 +115,7 @@ impl Effect {
             );
         }
         if let Some(r) = &self.correlation {
-            let pairs = [0, 0, 1, 3][self.kind.keys().len()];
-            let all: Vec<String> = r[..pairs].iter().map(|x| format!("{x:?}")).collect();
+            let all: Vec<String> = r[..self.kind.pairs()].iter().map(|x| format!("{x:?}")).collect();
             out += &format!("correlation = [{}]\n", all.join(", "));
         }
         if self.grows != 0.0 {

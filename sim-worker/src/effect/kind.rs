@@ -90,6 +90,12 @@ macro_rules! effects {
                 match self { $(Self::$variant => Equation::$equation),+ }
             }
 
+            /// Pairs of its parameters, as [`super::Effect::correlation`] has them.
+            pub fn pairs(self) -> usize {
+                let n = self.keys().len();
+                n * (n - 1) / 2
+            }
+
             /// One to three parameters.
             pub fn keys(self) -> &'static [ParameterKey] {
                 match self {

@@ -1,10 +1,11 @@
 //! The candidate effects driven by measured signals: for given shape parameters, what each would
 //! add to the equations. The equations themselves stand in `sim_worker::effect`.
 
+use crate::candidates::loads::{Spring, loose, released};
 use crate::candidates::phases::of_phases;
-use crate::equations::pieces::{Column, Piece, RigConstants};
-use crate::equations::signals::{SUPPLY, Signals, between, rate_of, shifted};
-use nalgebra::{Matrix3, Vector3};
+use crate::equations::pieces::{Column, Piece, RigConstants, wide};
+use crate::equations::samples::{rate_of, sharpened, shifted};
+use crate::equations::signals::{SUPPLY, Signals};
 use sim_worker::effect::{self, Effect, EffectKind, Equation};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -340,7 +341,7 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         // without a second sensor the noise of the motion would drive the column
         EffectKind::Compliance if s.user.is_none() => {}
         EffectKind::Compliance => {
-            let (motion, speed) = (s.sharpened(&s.theta), s.sharpened(&s.omega));
+            let (motion, speed) = (sharpened(&s.theta, s.smooth), sharpened(&s.omega, s.smooth));
             let spring = Spring {
                 stiffness: shape[0],
                 damping: shape[1],
@@ -371,7 +372,6 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             };
             let base = moved(&s.load);
             // drag and dry friction behind the spring, as a share of what there is in all
-            let wide = |x: f64| if x > 0.0 { x } else { 1.0 };
             for (torque, most) in [(&s.omega, c.effect.viscous), (&s.sign, c.effect.coulomb)] {
                 let both: Vec<f64> = s.load.iter().zip(torque).map(|(l, t)| l + wide(most) * t).collect();
                 let (mut x, mut w) = moved(&both);
@@ -467,118 +467,6 @@ fn dahl(s: &Signals, distance: f64) -> Vec<f64> {
             }
         })
         .collect()
-}
-
-/// A load that the motor pushes through a gap of half-width `half`: its angle and speed. Let go, it is slowed down by its own friction.
-///
-/// * `slowing` friction of the load over its inertia [rad/s2]; without end it is the play operator
-/// * `per_inertia` one over its inertia: how much a load torque accelerates it [1/(kg m2)]
-/// * `bounce` share of its speed towards the motor with which it bounces off; 0 is a plastic impact
-fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64, bounce: f64) -> (Vec<f64>, Vec<f64>) {
-    let dt = 1.0 / s.rate_hz;
-    let (mut x, mut w) = (s.theta[0], s.omega[0]);
-    let mut speed = Vec::with_capacity(s.n);
-    let followed = (0..s.n)
-        .map(|k| {
-            let before = w;
-            let push = -s.load[k] * per_inertia;
-            // friction stops it, and holds it while nothing stronger pushes
-            w += push * dt;
-            let brake = slowing * dt;
-            w = if w.abs() <= brake { 0.0 } else { w - brake * w.signum() };
-            x += 0.5 * (before + w) * dt;
-            let gap = s.theta[k] - x;
-            let pushed = gap.abs() >= half;
-            if pushed {
-                x = s.theta[k] - half * gap.signum();
-                // pushed along, unless it runs away by itself
-                let along = s.omega[k];
-                if (along - w) * gap > 0.0 {
-                    w = along + bounce * (along - w);
-                }
-            }
-            speed.push(w);
-            x
-        })
-        .collect();
-    (followed, speed)
-}
-
-/// How far [rad] and how fast [rad/s] the load is ahead of the motor when a run begins: what fits the user's sensor best while
-/// the spring remembers it.
-fn released(s: &Signals, spring: &Spring<'_>) -> (f64, f64) {
-    /// fewest and most samples that are looked at; time constants of the decay
-    const FEWEST: usize = 12;
-    const MOST: usize = 400;
-    const DECAYS: f64 = 4.0;
-    let Some(user) = s.user.as_ref() else { return (0.0, 0.0) };
-    let decay = 0.5 * spring.damping / spring.inertia.max(1e-12);
-    let remembered = (DECAYS * s.rate_hz / decay.max(1e-9)) as usize;
-    // while it turns one way, a play before the sensor stays on one side
-    let one_way = s.sign.iter().take_while(|x| **x * s.sign[0] > 0.0).count();
-    let n = remembered.clamp(FEWEST, MOST).min(one_way.max(FEWEST));
-    if s.n < 2 * n {
-        return (0.0, 0.0);
-    }
-    let run = |start| spring.swings(start, &s.load, n).0;
-    let still = run((0.0, 0.0));
-    let free = [(1e-3, 0.0), (0.0, 1.0)].map(|start| {
-        let moved = run(start);
-        moved.iter().zip(&still).map(|(m, s)| m - s).collect::<Vec<f64>>()
-    });
-    // deflection, slip and the sensors' zeros
-    let column = |i: usize, k: usize| free.get(i).map_or(1.0, |f| f[k]);
-    let sum = |f: &dyn Fn(usize) -> f64| (0..n).map(f).sum::<f64>();
-    let gram = Matrix3::from_fn(|i, j| sum(&|k| column(i, k) * column(j, k)));
-    let right = Vector3::from_fn(|i, _| sum(&|k| column(i, k) * (user[k] - s.position[k] - still[k])));
-    let x = gram.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&right));
-    (1e-3 * x[0], x[1])
-}
-
-/// A load mass on its spring, driven by the motor's measured motion.
-struct Spring<'a> {
-    /// [N m/rad]
-    stiffness: f64,
-    /// [N m s/rad]
-    damping: f64,
-    /// of the load [kg m2]
-    inertia: f64,
-    rate_hz: f64,
-    /// angle [rad] and speed [rad/s] of the motor
-    motion: &'a [f64],
-    speed: &'a [f64],
-}
-
-impl Spring<'_> {
-    /// Angle [rad] and speed [rad/s] of the load less the motor's over the first `n` samples.
-    ///
-    /// * `x0`, `w0` the same at the start
-    /// * `load` torque against the load [N m]
-    fn swings(&self, (x0, w0): (f64, f64), load: &[f64], n: usize) -> (Vec<f64>, Vec<f64>) {
-        let (motion, speed) = (self.motion, self.speed);
-        let natural = (self.stiffness / self.inertia.max(1e-12)).sqrt();
-        let substeps = (natural / self.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
-        let dt = 1.0 / (self.rate_hz * substeps as f64);
-        let (mut x, mut w) = (motion[0] + x0, speed[0] + w0);
-        let (mut deflection, mut slip) = (Vec::with_capacity(n), Vec::with_capacity(n));
-        for k in 0..n {
-            let next = (k + 1).min(motion.len() - 1);
-            deflection.push(x - motion[k]);
-            slip.push(w - speed[k]);
-            for j in 0..substeps {
-                let share = (j as f64 + 0.5) / substeps as f64;
-                let (theta, omega) = (between(motion, k, share), between(speed, k, share));
-                // implicit midpoint rule: no damping but the spring's own
-                let load = load[k] + share * (load[next] - load[k]);
-                let half = 0.5 * dt / self.inertia;
-                let push = self.stiffness * (theta - x) + self.damping * omega - load;
-                let middle = (w + half * push) / (1.0 + half * (0.5 * dt * self.stiffness + self.damping));
-                w = 2.0 * middle - w;
-                x += middle * dt;
-            }
-        }
-        (deflection, slip)
-    }
 }
 
 /// What is believed of the amplitudes of an effect before the fit: their standard deviation around 0, none where they may be

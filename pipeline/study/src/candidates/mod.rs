@@ -1,3 +1,4 @@
 pub mod columns;
+mod loads;
 pub mod phases;
 pub mod shapes;

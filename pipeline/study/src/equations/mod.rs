@@ -4,5 +4,6 @@ pub mod nuisances;
 pub mod pieces;
 pub mod problem;
 mod residuals;
+pub mod samples;
 pub mod signals;
 pub mod whitener;

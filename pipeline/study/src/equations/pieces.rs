@@ -28,6 +28,11 @@ impl Piece {
 /// What one amplitude multiplies.
 pub type Column = Vec<Piece>;
 
+/// What a column is a share of: a constant, or 1 in its unit where there is none.
+pub fn wide(x: f64) -> f64 {
+    if x > 0.0 { x } else { 1.0 }
+}
+
 /// Constants of the rig that the candidates refer to.
 #[derive(Clone, Copy, Debug)]
 pub struct RigConstants {

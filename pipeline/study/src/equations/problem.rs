@@ -4,7 +4,8 @@
 use crate::equations::floors::floors;
 use crate::equations::mechanics::{Mechanics, mechanics};
 use crate::equations::nuisances::{Nuisance, SENSOR_OFFSET_OF_RANGE};
-use crate::equations::pieces::{Column, Piece};
+use crate::equations::pieces::{Column, Piece, wide};
+use crate::equations::samples;
 use crate::equations::signals::{self, Clock, NoiseTable, SUPPLY, Signals};
 use crate::equations::whitener::Rows;
 use crate::measured::bench::{Bench, BenchChannel};
@@ -232,7 +233,6 @@ impl Problem {
         let mut offsets = Vec::new();
         let mut supplies = Vec::new();
         let mut drive = vec![0.0; self.rows];
-        let wide = |x: f64| if x > 0.0 { x } else { 1.0 };
         let place = |name: &str| nuisances.iter().position(|n| n.name == name);
         for (r, (s, run)) in self.signals.iter().zip(runs).enumerate() {
             let of = |e: Equation| self.blocks.iter().find(|b| b.run == r && b.equation == e);
@@ -486,11 +486,11 @@ impl Problem {
             if let Some(x) = sum(Equation::Torque, 1) {
                 // the mean of a derivative is the difference of the ends
                 let t = torque.get_or_insert_with(|| vec![0.0; s.n]);
-                t.iter_mut().zip(signals::rate_of(&x, rate)).for_each(|(t, r)| *t += r);
+                t.iter_mut().zip(samples::rate_of(&x, rate)).for_each(|(t, r)| *t += r);
             }
             // what stands in a measured angle or speed stands there at that sensor's moment
             let ahead = self.mechanics.ahead();
-            let at_sensor = |order: usize| Some(signals::later(&sum(Equation::Kinematic, order)?, ahead[order]));
+            let at_sensor = |order: usize| Some(samples::later(&sum(Equation::Kinematic, order)?, ahead[order]));
             let (angle, speed) = (at_sensor(0), at_sensor(1));
             if torque.is_some() || angle.is_some() || speed.is_some() {
                 let rows = self

@@ -164,7 +164,7 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         OTHERWISE
     } else if echoed(m, model, next) {
         "the error of the angle sensor makes as much of other torques"
-    } else if commutated(m, next, model.terms.len()) {
+    } else if commutated(m, model, next) {
         "dead time makes as much of the torque at each commutation"
     } else if unshown(m, model, next) {
         "the voltage does not show it"
@@ -229,23 +229,26 @@ fn otherwise_loose(m: &Material, model: &Fit, next: &Fit) -> bool {
     far && model.terms.iter().any(loose) && !next.terms[model.terms.len()..].iter().all(loose)
 }
 
-/// Whether a new torque, one of those from `first` on, repeats with the commutation of three phases beside a dead time, and is small.
-fn commutated(m: &Material, next: &Fit, first: usize) -> bool {
+/// Whether the torque of a term is below a share of the drive's, both rms.
+fn slight(m: &Material, term: &Term, share: f64) -> bool {
+    let (p, e) = (&m.fit, Equation::Torque.index());
+    p.energy(&intervals::contribution(p, m, term))[e] < share.powi(2) * p.energy(&p.drive)[e]
+}
+
+/// Whether a new torque repeats with the commutation of three phases beside a dead time, and is small.
+fn commutated(m: &Material, model: &Fit, next: &Fit) -> bool {
     if !m.bench.has_phases() || !next.terms.iter().any(|t| t.kind == EffectKind::DeadTime) {
         return false;
     }
-    let (p, e) = (&m.fit, Equation::Torque.index());
-    let each = 6.0 * m.constants.effect.pole_pairs;
-    next.terms[first..]
+    let with_it = |t: &&Term| {
+        let order = t.shape[0] / (6.0 * m.constants.effect.pole_pairs);
+        order.round() >= 1.0 && (order - order.round()).abs() < 0.02
+    };
+    next.terms[model.terms.len()..]
         .iter()
         .filter(|t| shapes::has_order(t.kind))
-        .filter(|t| {
-            (t.shape[0] / each).round() >= 1.0 && (t.shape[0] / each - (t.shape[0] / each).round()).abs() < 0.02
-        })
-        .any(|t| {
-            let all = p.energy(&intervals::contribution(p, m, t))[e];
-            all < COMMUTATED.powi(2) * p.energy(&p.drive)[e]
-        })
+        .filter(with_it)
+        .any(|t| slight(m, t, COMMUTATED))
 }
 
 /// Whether a new torque repeats once or twice a turn beside an angle sensor that is out of centre, and is no more than its error
@@ -260,14 +263,10 @@ fn echoed(m: &Material, model: &Fit, next: &Fit) -> bool {
     else {
         return false;
     };
-    let (p, e) = (&m.fit, Equation::Torque.index());
-    let new = &next.terms[model.terms.len()..];
-    new.iter()
+    next.terms[model.terms.len()..]
+        .iter()
         .filter(|t| shapes::has_order(t.kind) && t.shape[0] < MOST_ECHOED)
-        .any(|t| {
-            let all = p.energy(&intervals::contribution(p, m, t))[e];
-            all < (ECHO * error).powi(2) * p.energy(&p.drive)[e]
-        })
+        .any(|t| slight(m, t, ECHO * error))
 }
 
 /// Whether a gain of the current is new that leaves the voltage as it was: without a load that is measured it is nothing in the

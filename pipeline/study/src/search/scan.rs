@@ -236,24 +236,21 @@ impl<'a> Scan<'a> {
         if let Some(orders) = &self.orders.get(&kind) {
             shapes.extend(orders.iter().map(|n| vec![*n]));
         }
-        let scored: Vec<(Vec<f64>, Score)> = shapes
+        let mut scored: Vec<(Vec<f64>, Score)> = shapes
             .into_par_iter()
             .filter(|s| self.inside(kind, s))
             .filter_map(|s| self.score(kind, &s).map(|x| (s, x)))
             .collect();
-        let better = |a: &&(Vec<f64>, Score), b: &&(Vec<f64>, Score)| a.1.log_likelihood.total_cmp(&b.1.log_likelihood);
-        if kind == EffectKind::Compliance {
-            // of a spring the nearest start leads to the nearest resonance
-            let mut scored = scored;
-            scored.sort_by(|a, b| b.1.log_likelihood.total_cmp(&a.1.log_likelihood));
-            let starts = scored.iter().take(SPRINGS).collect::<Vec<_>>();
-            let refined: Vec<_> = starts.par_iter().map(|(s, x)| self.refined(kind, s, x, 60)).collect();
-            return refined
-                .into_iter()
-                .max_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood));
-        }
-        let (shape, score) = scored.iter().max_by(better)?;
-        Some(self.refined(kind, shape, score, 40))
+        scored.sort_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood));
+        // of a spring the nearest start leads to the nearest resonance
+        let (starts, steps) = if kind == EffectKind::Compliance {
+            (SPRINGS, 60)
+        } else {
+            (1, 40)
+        };
+        let best = scored.par_iter().rev().take(starts);
+        best.map(|(shape, score)| self.refined(kind, shape, score, steps))
+            .max_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood))
     }
 
     /// Refines the shape parameters by a simplex search on the profile likelihood.

@@ -322,14 +322,15 @@ impl Material {
         self.again(bench, nuisances, (excess, self.excess.1))
     }
 
-    /// Terms of the equations around other constants: a load on its spring is a share of the inertia.
-    pub fn carried(&self, before: &Self, terms: &[Term]) -> Vec<Term> {
-        let factor = self.constants.inertia / before.constants.inertia.max(1e-300);
-        let mut all = terms.to_vec();
-        for t in all.iter_mut().filter(|t| t.kind == EffectKind::Compliance) {
+    /// The same around a fit, and its terms there: a load on its spring is a share of the inertia.
+    pub fn carried(&self, fit: &Fit) -> (Self, Vec<Term>) {
+        let around = self.around(fit);
+        let factor = around.constants.inertia / self.constants.inertia.max(1e-300);
+        let mut terms = fit.terms.clone();
+        for t in terms.iter_mut().filter(|t| t.kind == EffectKind::Compliance) {
             t.shape.iter_mut().for_each(|x| *x *= factor);
         }
-        all
+        (around, terms)
     }
 
     /// The same without what is believed of constants that a fit holds at the end of their belief, though a voltage shows them;
@@ -369,17 +370,17 @@ impl Material {
             .collect();
         let of = |n: &[Nuisance]| Scan::new(&self.fit, &self.constants, n, &y, &further, model.sigma);
         let scan = of(&nuisances).with_orders();
-        // a load on its spring, beside an inertia that may be anything
-        let freed = fit::beside(
-            &nuisances,
-            kinds.iter().copied().filter(|k| *k == EffectKind::Compliance),
-        );
-        let freed = freed.map(|n| of(&n));
         let silent = excitation::not_excited(self);
+        let open = |k: &EffectKind| {
+            !silent.iter().any(|s| s.0 == k.name()) && (takes_several(*k) || !model.terms.iter().any(|t| t.kind == *k))
+        };
+        let kinds: Vec<EffectKind> = kinds.iter().copied().filter(open).collect();
+        // a load on its spring, beside an inertia that may be anything; only a sensor of the user's shows it
+        let spring = kinds.contains(&EffectKind::Compliance) && self.fit.signals.iter().any(|s| s.user.is_some());
+        let freed = fit::beside(&nuisances, spring.then_some(EffectKind::Compliance));
+        let freed = freed.map(|n| of(&n));
         let mut all: Vec<Ranked> = kinds
             .par_iter()
-            .filter(|k| !silent.iter().any(|s| s.0 == k.name()))
-            .filter(|k| takes_several(**k) || !model.terms.iter().any(|t| t.kind == **k))
             .filter_map(|&k| {
                 let scan = freed.as_ref().filter(|_| k == EffectKind::Compliance).unwrap_or(&scan);
                 let (term, score) = scan.best(k)?;

@@ -182,12 +182,11 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         }
         model = next;
         for round in 0..2 {
-            let around = m.around(&model);
-            let before = std::mem::replace(&mut m, around);
+            let terms;
+            (m, terms) = m.carried(&model);
             if round == 0 {
                 m = m.on_time(&model.terms);
             }
-            let terms = m.carried(&before, &model.terms);
             model = m.polish(&m.solve(&terms, model.sigma), 1);
         }
         model = needed(&m, model);
@@ -202,9 +201,8 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
     while let Some(vague) = vague(&m, &model) {
         model = m.dropped(&model, vague);
-        let around = m.around(&model);
-        let before = std::mem::replace(&mut m, around);
-        let terms = m.carried(&before, &model.terms);
+        let terms;
+        (m, terms) = m.carried(&model);
         model = m.polish(&m.solve(&terms, model.sigma), 1);
     }
     // constants that nothing of the list explains may have one cause together
@@ -261,8 +259,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
 /// A model whose resistance and inertia are no longer held at the end of their belief, where one cause explains all constants.
 fn one_cause(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<(Material, Fit)> {
     let loose = m.let_go(model)?;
-    let loose = loose.around(&loose.solve(&model.terms, model.sigma));
-    let terms = loose.carried(m, &model.terms);
+    let (loose, terms) = loose.carried(&loose.solve(&model.terms, model.sigma));
     let fit = loose.polish(&loose.solve(&terms, model.sigma), 1);
     beside::together(&loose, &fit, first).map(|_| (loose, fit))
 }

@@ -234,12 +234,13 @@ pub fn effect(found: &FoundEffect, parent: Option<&str>, source: &str, notes: Ve
     e.intervals = Some(intervals);
     let n = kind.keys().len();
     if n > 1 && found.correlation.len() == n * n {
-        let of = |i: usize, k: usize| found.correlation.get(i * n + k).copied().unwrap_or(0.0);
-        e.correlation = Some(if n == 2 {
-            [of(0, 1), 0.0, 0.0]
-        } else {
-            [of(0, 1), of(0, 2), of(1, 2)]
-        });
+        let above = (0..n).flat_map(|i| (i + 1..n).map(move |k| i * n + k));
+        let mut pairs = [0.0; 3];
+        pairs
+            .iter_mut()
+            .zip(above)
+            .for_each(|(r, at)| *r = found.correlation[at]);
+        e.correlation = Some(pairs);
     }
     e.source = format!("identified: {source}");
     e.parent = parent.map(str::to_string);
