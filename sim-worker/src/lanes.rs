@@ -381,12 +381,19 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 let level = fx.felt.supply[l] + fx.felt.bus * (supply - fx.felt.supply[l]);
                 fx.felt.supply[l] = pick(level.abs() < GONE, 0.0, level);
                 // from here on the measured currents
-                let measured = |i: f64, fold: f64| {
-                    fx.felt.gain[l] * i + commutation::phase_reference::<ONE>(fold, fx.felt.offset[l])
+                let felt = &fx.felt;
+                let measured = |i: f64, fold: f64, own: f64| {
+                    felt.gain[l] * i + commutation::phase_reference::<ONE>(fold, felt.offset[l]) + own
                 };
-                i = [measured(i[0], on.f0[l]), measured(i[1], on.f1[l])];
+                i = [
+                    measured(i[0], on.f0[l], felt.sensor[0][l]),
+                    measured(i[1], on.f1[l], felt.sensor[1][l]),
+                ];
             }
-            let minus_ic = i[0] + i[1];
+            let mut minus_ic = i[0] + i[1];
+            if F & term::EFFECTS != 0 {
+                minus_ic -= fx.felt.sensors[l];
+            }
             (st.ma[l], st.mb[l], st.mc[l]) = (h[0] - i[0], h[1] - i[1], h[2] + minus_ic);
             sum.ia[l] += i[0];
             sum.ib[l] += i[1];

@@ -511,6 +511,9 @@ impl ActuatorParameters {
             if e.grows != 0.0 {
                 text += &format!(",grows,{}", exact(e.grows));
             }
+            if let Some(q) = e.sensor {
+                text += &format!(",sensor,{q}");
+            }
         }
         fingerprint(&text)
     }

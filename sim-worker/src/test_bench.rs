@@ -119,6 +119,14 @@ impl<const N: usize> NumericalTestBench<N> {
         state.ma = constants.hb;
         state.mb = constants.hb;
         state.mc = constants.hb;
+        let felt = &effects.felt.sensor;
+        for (m, offset) in [
+            (&mut state.ma, felt[0]),
+            (&mut state.mb, felt[1]),
+            (&mut state.mc, felt[2]),
+        ] {
+            m.iter_mut().zip(offset).for_each(|(m, offset)| *m -= offset);
+        }
         let loaded = lanes.iter().any(|l| l.load_n_m != 0.0);
         let extra = channels.iter().any(|c| !c.is_basic());
         let units: [Units; N] = std::array::from_fn(|l| Units::new(&at(l).actuator));
@@ -202,7 +210,10 @@ impl<const N: usize> NumericalTestBench<N> {
             Channel::IEq => mean(&sum.abs, &u.half_ampere),
             Channel::IA => mean(&sum.ia, &u.ampere),
             Channel::IB => mean(&sum.ib, &u.ampere),
-            Channel::IC => std::array::from_fn(|l| -(sum.ia[l] + sum.ib[l]) * (u.ampere[l] * per_step)),
+            Channel::IC => std::array::from_fn(|l| {
+                let offsets = self.effects.felt.sensors[l] * self.interval as f64;
+                -(sum.ia[l] + sum.ib[l] - offsets) * (u.ampere[l] * per_step)
+            }),
             Channel::VA => mean(&sum.va, &u.volt),
             Channel::VB => mean(&sum.vb, &u.volt),
             Channel::VC => mean(&sum.vc, &u.volt),

@@ -12,6 +12,7 @@ use diagnoser::report::versioned;
 use ema_study::measured::bench::is_recording;
 use ema_study::told::verify::Verification;
 use schemas::error::{EXIT_LOSS, Error};
+use sim_worker::effect::PHASES;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -113,6 +114,9 @@ fn to_text(f: &Findings) -> String {
         );
         for p in &e.parameters {
             t += &(row(12, 8, &p.name, &p.unit, [p.value, p.lo, p.hi]) + "\n");
+        }
+        if let Some(q) = e.sensor {
+            t += &format!("  in the sensor of phase {}\n", PHASES[q]);
         }
         if let Some(r) = &e.runner_up {
             t += &format!("  runner-up: {r}\n");

@@ -7,6 +7,7 @@ use super::discrepancy_figures::{
 use crate::report::{Layout, Lead, Report, Section, Table, TableRow, Tone, html};
 use anyhow::{Context as _, Result};
 use ema_study::told::findings::{ChannelGap, Findings, FoundEffect};
+use sim_worker::effect::PHASES;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -148,6 +149,9 @@ fn effect(n: usize, e: &FoundEffect, blocks: &mut Blocks) -> Section {
     }
     if let Some(alias) = &e.alias {
         text += &format!("- Another name of the same term: {}\n", line(alias));
+    }
+    if let Some(q) = e.sensor {
+        text += &format!("- It is in the sensor of phase {}.\n", PHASES[q]);
     }
     match &e.runner_up {
         Some(r) => text += &format!("- Runner-up: {}\n", line(r)),

@@ -115,6 +115,21 @@ pub fn shape(electrical: f64) -> f64 {
     triangle.clamp(-1.0, 1.0)
 }
 
+/// Integral of [`shape`] over the electrical angle, from 0: the flux that it is the derivative of.
+pub fn flux(electrical: f64) -> f64 {
+    // in flanks of 30 degrees, mirrored at 180
+    let x = electrical.rem_euclid(TAU) / FRAC_PI_6;
+    let x = if x > 6.0 { 12.0 - x } else { x };
+    let sum = if x < 1.0 {
+        0.5 * x * x
+    } else if x < 5.0 {
+        x - 0.5
+    } else {
+        5.0 - 0.5 * (6.0 - x) * (6.0 - x)
+    };
+    FRAC_PI_6 * sum
+}
+
 /// `rect` of the paper for the three phases: +1 on [30, 150), -1 on [210, 330) electrical degrees
 /// of `P theta - 2 pi q/3`, else 0.
 pub fn conducting(theta: f64, pole_pairs: f64) -> [f64; 3] {
@@ -188,10 +203,18 @@ impl Effect {
             | EffectKind::Eccentricity
             | EffectKind::TurnShort
             | EffectKind::CommutationOffset => self.shared(s, c, self.constant_share(s, c)).0,
-            EffectKind::CurrentOffset => a * c.torque_constant,
+            EffectKind::CurrentOffset => self.current_offset(s, c) * c.torque_constant,
             EffectKind::CurrentGain => c.torque_constant * s.current * a / (1.0 + a),
             _ => self.friction(s, c) * s.sign,
         }
+    }
+
+    /// What an offset of current sensors adds to the measured current that gives torque [A]; that of one phase of three counts
+    /// by its shape.
+    fn current_offset(&self, s: &Signals, c: &Constants) -> f64 {
+        let a = self.values[0];
+        let of = |q: usize| 0.5 * shape(c.pole_pairs * s.theta - TAU / 3.0 * q as f64);
+        self.sensor.map_or(a, |q| a * of(q))
     }
 
     /// Voltage that the source must give in addition [V].
@@ -201,7 +224,7 @@ impl Effect {
             EffectKind::WindingHeating => c.resistance * (self.resistance_factor() - 1.0) * s.current,
             EffectKind::SupplySag => a * s.duty * s.duty * s.current,
             EffectKind::DeadTime => 2.0 * self.leg_drop(s.current),
-            EffectKind::CurrentOffset => -a * c.resistance,
+            EffectKind::CurrentOffset => -self.current_offset(s, c) * c.resistance,
             EffectKind::CurrentGain => -c.resistance * s.current * a / (1.0 + a),
             EffectKind::TurnShort
             | EffectKind::TorqueRipple

@@ -7,6 +7,9 @@ use schemas::toml_section::{Section, quoted};
 /// Greatest number of effects of an actuator.
 pub const MOST: usize = 16;
 
+/// Names of the phases.
+pub const PHASES: [&str; 3] = ["a", "b", "c"];
+
 /// Reads the tables `[[effect]]` of an actuator whose rotor has the inertia `inertia` [kg m2].
 ///
 /// # Errors
@@ -75,6 +78,17 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
                 allowed,
             )?;
         }
+        if t.may_have("sensor") {
+            let offset = kind == EffectKind::CurrentOffset;
+            let allowed = if offset {
+                "a, b or c"
+            } else {
+                "nothing: it is in no sensor of a phase"
+            };
+            let name = t.text("sensor", allowed)?;
+            let place = PHASES.iter().position(|p| *p == name).filter(|_| offset);
+            e.sensor = Some(place.ok_or_else(|| t.bad("sensor", &name, allowed))?);
+        }
         e.source = t.text_or("source", "assumed")?;
         if t.may_have("parent") {
             e.parent = Some(t.text("parent", "the fingerprint of an actuator")?);
@@ -120,6 +134,9 @@ impl Effect {
         }
         if self.grows != 0.0 {
             out += &format!("grows = {:?}\n", self.grows);
+        }
+        if let Some(q) = self.sensor {
+            out += &format!("sensor = \"{}\"\n", PHASES[q]);
         }
         out += &format!("source = {}\n", quoted(&self.source));
         if !self.provenance.is_empty() {

@@ -31,8 +31,11 @@ pub struct Injection {
     pub source: f64,
     /// gain of the measured current `gain i + offset`
     pub gain: f64,
-    /// offset of the measured current [A]
+    /// offset of the measured current, in the phases that conduct, by their signs [A]
     pub offset: f64,
+    /// offset of each phase's sensor [A]: the relays of the other two hold the current, so that the motor hardly feels that of
+    /// one, and the simplified model knows nothing of it
+    pub sensors: [f64; 3],
     /// delay of the controller's output; none without
     pub delay: Option<DelayLine>,
     /// bristles in place of dry friction; none without
@@ -77,6 +80,7 @@ impl Injection {
             source: 0.0,
             gain: 1.0,
             offset: 0.0,
+            sensors: [0.0; 3],
             delay: None,
             bristles: None,
             behind: None,
@@ -114,7 +118,10 @@ impl Injection {
                 }
                 EffectKind::CommutationOffset => all.commutation += a,
                 EffectKind::EncoderEccentricity => all.encoder.push(e.clone()),
-                EffectKind::CurrentOffset => all.offset += a,
+                EffectKind::CurrentOffset => match e.sensor {
+                    Some(q) => all.sensors[q] += a,
+                    None => all.offset += a,
+                },
                 EffectKind::CurrentGain => all.gain *= 1.0 + a,
                 EffectKind::ControlDelay => all.delay = Some(DelayLine::new(a, dt)),
             }
@@ -222,8 +229,12 @@ pub struct Felt<const N: usize> {
     pub bus: f64,
     /// gain of the measured current
     pub gain: [f64; N],
-    /// offset of the measured current
+    /// offset of the measured current, in the phases that conduct
     pub offset: [f64; N],
+    /// offset of each phase's sensor
+    pub sensor: [[f64; N]; 3],
+    /// sum of the three
+    pub sensors: [f64; N],
     /// one over the turns left of each phase; 0 with all turns
     pub more: [[f64; N]; 3],
     /// one over the sum of `more`; 0 with all turns
@@ -301,6 +312,8 @@ impl<const N: usize> Default for LaneEffects<N> {
                 bus: 0.0,
                 gain: [ONE; N],
                 offset: [0.0; N],
+                sensor: [[0.0; N]; 3],
+                sensors: [0.0; N],
                 more: [[ONE; N]; 3],
                 even: [0.0; N],
                 th: [0.0; N],
@@ -353,6 +366,8 @@ impl<const N: usize> LaneEffects<N> {
             felt.sag[l] = 0.5 * e.source * u.volt / u.ampere;
             felt.gain[l] = e.gain;
             felt.offset[l] = e.offset * u.ampere;
+            (0..3).for_each(|q| felt.sensor[q][l] = e.sensors[q] * u.ampere);
+            felt.sensors[l] = e.sensors.iter().sum::<f64>() * u.ampere;
             if e.turns != [1.0; 3] {
                 let more = e.turns.map(|t| 1.0 / t);
                 (0..3).for_each(|q| felt.more[q][l] = more[q]);

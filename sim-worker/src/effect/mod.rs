@@ -15,9 +15,9 @@ mod tests_physics;
 use nalgebra::DMatrix;
 
 pub use equations::{
-    COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, shape,
+    COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, flux, shape,
 };
-pub use file::{MOST, read};
+pub use file::{MOST, PHASES, read};
 pub use inject::{Felt, Injection, LaneEffects};
 pub use kind::{EffectKind, Equation, ParameterKey};
 pub use state::{Dahl, DelayLine, Play, TwoMass};
@@ -50,6 +50,9 @@ pub struct Effect {
     /// share of the amplitude that grows with the friction fault: times `1 + grows (FSJ - 1)`. 0 but for levels of
     /// friction ([`EffectKind::is_friction`]), of which nobody knows without a worn unit
     pub grows: f64,
+    /// of `current_offset` in an actuator of three phases: the one whose sensor has it (0, 1, 2). `None`: nobody says, and
+    /// the equivalent current has it, in the phases that conduct, by their signs
+    pub sensor: Option<usize>,
     /// fingerprint of the actuator to which the effect was added
     pub parent: Option<String>,
     /// how it was identified: data, runs, score, runner-up ...; keys in the order of the alphabet
@@ -68,6 +71,7 @@ impl Effect {
             correlation: None,
             source: "assumed".into(),
             grows: 0.0,
+            sensor: None,
             parent: None,
             provenance: Vec::new(),
         }

@@ -139,6 +139,12 @@ fn prop_every_kind_reads_back_as_it_was_written() {
         let read = parse(&two).unwrap().effects;
         assert_eq!(read, [e, visible(EffectKind::Cogging)], "{two}");
     }
+    let mut offset = visible(EffectKind::CurrentOffset);
+    offset.sensor = Some(2);
+    assert!(offset.to_toml().contains("sensor = \"c\""));
+    assert_eq!(parse(&offset.to_toml()).unwrap().effects, [offset.clone()]);
+    let of = |e: &Effect| with(std::slice::from_ref(e)).fingerprint();
+    assert_ne!(of(&offset), of(&visible(EffectKind::CurrentOffset)));
     let short = "[[effect]]\nname = \"presliding\"\nstiffness = 3\n";
     let e = &parse(short).unwrap().effects[0];
     assert_eq!((e.values, e.intervals), ([3.0, 0.0, 0.0], None));
@@ -177,6 +183,14 @@ fn prop_bad_effects_are_refused_in_one_line() {
         (
             format!("{stribeck}exponent = 1\ncorrelation = [0.5, 2, 0]"),
             "correlation`: found [0.5, 2, 0]; allowed: 3 numbers from -1 to 1",
+        ),
+        (
+            "name = \"current_offset\"\ncurrent = 0.1\nsensor = \"d\"".into(),
+            "key `effect[0].sensor`: found d; allowed: a, b or c",
+        ),
+        (
+            "name = \"bias_torque\"\ntorque = 0.1\nsensor = \"a\"".into(),
+            "key `effect[0].sensor`: found a; allowed: nothing: it is in no sensor of a phase",
         ),
         ("torque = 1".into(), "found nothing; allowed: the name of an effect"),
         (

@@ -136,7 +136,11 @@ fn prop_torques_are_the_equations_of_the_recorded_signals() {
 fn prop_shares_of_the_torque_constant_are_the_equations_of_the_recorded_signals() {
     use EffectKind::*;
     let com = sine(40_000, DT);
-    for (kind, tolerance) in [
+    let one = |q: usize| Effect {
+        sensor: Some(q),
+        ..visible(CurrentOffset)
+    };
+    for (e, tolerance) in [
         (TorqueRipple, 1e-9),
         (CurrentOffset, 1e-9),
         (CurrentGain, 1e-9),
@@ -144,8 +148,12 @@ fn prop_shares_of_the_torque_constant_are_the_equations_of_the_recorded_signals(
         (TurnShort, 0.1),
         (CommutationOffset, 0.1),
         (TorqueSaturation, 0.1),
-    ] {
-        let e = visible(kind);
+    ]
+    .map(|(kind, tolerance)| (visible(kind), tolerance))
+    .into_iter()
+    .chain([0, 1, 2].map(|q| (one(q), 1e-9)))
+    {
+        let kind = e.kind;
         let p = with(std::slice::from_ref(&e));
         let c = Constants::of(&p, 1.0);
         let r = record(&p, &com);
@@ -164,6 +172,32 @@ fn prop_shares_of_the_torque_constant_are_the_equations_of_the_recorded_signals(
         let (size, error) = (rms(&wanted), difference(&got, &wanted));
         println!("{}: {size:.2e} N m, error {:.1e} of it", kind.name(), error / size);
         assert!(size > 1e-4 && error < tolerance * size, "{}", kind.name());
+    }
+}
+
+#[test]
+fn prop_an_offset_of_one_sensor_is_what_the_phases_add_up_to_and_hardly_felt() {
+    let mut e = visible(EffectKind::CurrentOffset);
+    e.sensor = Some(1);
+    let com = sine(40_000, DT);
+    let [r, plain] = [with(&[e.clone()]), with(&[])].map(|p| record(&p, &com));
+    for k in 0..com.len() {
+        assert!((r.i[0][k] + r.i[1][k] + r.i[2][k] - e.values[0]).abs() < 1e-9);
+    }
+    // the relays of the other two hold the current
+    let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
+    let shown: [f64; 3] = std::array::from_fn(|q| (mean(&r.i[q]) - mean(&plain.i[q])) / e.values[0]);
+    assert!(shown[0].abs() < 0.15 && (shown[1] - 1.0).abs() < 0.15, "{shown:?}");
+    let felt = difference(&means(&r.torque), &means(&plain.torque));
+    assert!(felt < 0.15 * 0.0752 * e.values[0].abs(), "{felt}");
+}
+
+#[test]
+fn prop_the_flux_is_what_the_shape_is_the_slope_of() {
+    for k in 0..1000 {
+        let (x, step) = (-7.0 + 0.014 * f64::from(k), 1e-6);
+        let slope = (flux(x + step) - flux(x - step)) / (2.0 * step);
+        assert!((slope - shape(x)).abs() < 1e-5, "{x}: {slope} {}", shape(x));
     }
 }
 

@@ -11,7 +11,9 @@ use nalgebra::{Matrix3, Vector3};
 /// * `bounce` share of its speed towards the motor with which it bounces off; 0 is a plastic impact
 pub(super) fn loose(s: &Signals, half: f64, slowing: f64, per_inertia: f64, bounce: f64) -> (Vec<f64>, Vec<f64>) {
     let dt = 1.0 / s.rate_hz;
-    let (mut x, mut w) = (s.theta[0], s.omega[0]);
+    // where the user's sensor sees it when the run begins, which is a piece of a recording as a rule
+    let lag = s.user.as_ref().map_or(0.0, |u| u[0] - s.position[0]).clamp(-half, half);
+    let (mut x, mut w) = (s.theta[0] + lag, s.omega[0]);
     let mut speed = Vec::with_capacity(s.n);
     let followed = (0..s.n)
         .map(|k| {

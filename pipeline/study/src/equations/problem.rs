@@ -11,7 +11,7 @@ use crate::equations::whitener::Rows;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{Run, extent, range};
-use sim_worker::effect::{self, Equation};
+use sim_worker::effect::Equation;
 use std::ops::Range;
 
 /// Mains frequencies looked for [Hz].
@@ -79,13 +79,21 @@ const SUPPLY_NOISE: (f64, f64) = (1e-4, 5e-3);
 const WINDOW_S: f64 = 0.006;
 const FEWEST_IN_WINDOW: usize = 8;
 
+/// Share of its neighbour that a sample at either end of a window has in the mean over it.
+///
+/// The change over a window is known between means of two samples, so that what happens in a sample at its end counts in part.
+/// With this share the mean takes as much of a current that steps at any moment within a sample, as at each commutation;
+/// with none the inductance of such currents came out 1.5 % high, with a quarter, which suits what changes slowly, 0.7 % low.
+const AT_ENDS: f64 = 1.0 / 6.0;
+
 /// Mean of a signal over the `window` samples that end at `k` (0), or its change over them a second (1).
 fn over(x: &[f64], order: usize, k: usize, window: usize, rate_hz: f64) -> f64 {
+    let (before, first, after) = (x[k - window], x[k - window + 1], x[(k + 1).min(x.len() - 1)]);
     if order == 0 {
-        return x[k + 1 - window..=k].iter().sum::<f64>() / window as f64;
+        let within = x[k - window + 1..=k].iter().sum::<f64>();
+        return (within + AT_ENDS * (before - first + after - x[k])) / window as f64;
     }
-    let end = |k: usize| 0.5 * (x[k] + x[(k + 1).min(x.len() - 1)]);
-    (end(k) - end(k - window)) * rate_hz / window as f64
+    0.5 * (x[k] + after - before - first) * rate_hz / window as f64
 }
 
 impl Problem {
@@ -316,11 +324,7 @@ impl Problem {
                     let (r, l, ke) = (0.5 * r0, 0.5 * l0, 0.5 * ke);
                     let volts = p.voltage.as_ref().expect("the equation is open");
                     let over = |x: &[f64], order: usize, k: usize| over(x, order, k, self.window, s.rate_hz);
-                    let flux: [Vec<f64>; 3] = std::array::from_fn(|q| {
-                        let turn = std::f64::consts::TAU / 3.0 * q as f64;
-                        let shape = p.mean(s, |theta| effect::shape(p.pole_pairs * theta - turn));
-                        shape.iter().enumerate().map(|(k, f)| f * p.speed(s, k)).collect()
-                    });
+                    let flux: [Vec<f64>; 3] = std::array::from_fn(|q| p.back_emf(s, q));
                     let mut columns = [vec![0.0; y.len()], vec![0.0; y.len()], vec![0.0; y.len()]];
                     for (i, &k) in block.samples.iter().enumerate() {
                         let q = i % each;

@@ -6,6 +6,7 @@ use crate::equations::samples::shifted;
 use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{self, ChannelNoise, Run};
+use sim_worker::effect;
 use sim_worker::effect::Play;
 use std::collections::BTreeMap;
 
@@ -114,13 +115,17 @@ pub struct Phases {
     /// of the supply
     pub supply: Option<Vec<f64>>,
     pub pole_pairs: f64,
+    /// measured angle where the samples end [rad], half a step of the test bench earlier: it steps explicitly, by the back-EMF
+    /// of a step's beginning. Half a microsecond looks like 2 % of the inductance: what current and back-EMF change by is seen
+    /// where phases commutate, both at once
+    ends: Option<Vec<f64>>,
     /// error of the angle sensor, and whether the speed is that of the measured angle
     encoder: (f64, f64),
     from_position: bool,
 }
 
 impl Phases {
-    fn new(bench: &Bench, run: &Run, from_position: bool) -> Option<Self> {
+    fn new(bench: &Bench, run: &Run, clock: &Clock) -> Option<Self> {
         let three = |c: [BenchChannel; 3]| -> Option<[Vec<f64>; 3]> {
             Some([
                 run.channel(c[0])?.to_vec(),
@@ -128,13 +133,22 @@ impl Phases {
                 run.channel(c[2])?.to_vec(),
             ])
         };
+        let ends = run.channel(BenchChannel::Position).map(|x| {
+            let middle = |c| clock.shift(bench, c) * clock.rate_hz;
+            shifted(
+                x,
+                middle(BenchChannel::Position) - middle(BenchChannel::CurrentA) + 0.5
+                    - 0.5 * bench.rig.step_s * clock.rate_hz,
+            )
+        });
         Some(Self {
             current: three(BenchChannel::CURRENTS)?,
             voltage: three(BenchChannel::VOLTAGES),
             supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),
             pole_pairs: bench.rig.pole_pairs,
+            ends,
             encoder: bench.rig.encoder,
-            from_position,
+            from_position: clock.from_position,
         })
     }
 
@@ -157,6 +171,30 @@ impl Phases {
         const NEAR: f64 = 1e-4;
         let at = |theta| true_angle(self.encoder, theta);
         s.omega[k] * (at(s.theta[k] + NEAR) - at(s.theta[k] - NEAR)) / (2.0 * NEAR)
+    }
+
+    /// Mean over each sample of a phase's back-EMF over `ke` [rad/s]: what its flux changes by, a second. Whatever the speed does
+    /// within a sample, its ends say it all.
+    pub fn back_emf(&self, s: &Signals, q: usize) -> Vec<f64> {
+        let turn = std::f64::consts::TAU / 3.0 * q as f64;
+        let flux = |theta: f64| effect::flux(self.pole_pairs * theta - turn) / self.pole_pairs;
+        match &self.ends {
+            Some(ends) => {
+                let at: Vec<f64> = ends.iter().map(|x| flux(true_angle(self.encoder, *x))).collect();
+                let before = |k: usize| {
+                    if k == 0 {
+                        2.0 * at[0] - at[1.min(s.n - 1)]
+                    } else {
+                        at[k - 1]
+                    }
+                };
+                (0..s.n).map(|k| (at[k] - before(k)) * s.rate_hz).collect()
+            }
+            None => {
+                let shape = self.mean(s, |theta| effect::shape(self.pole_pairs * theta - turn));
+                shape.iter().enumerate().map(|(k, f)| f * self.speed(s, k)).collect()
+            }
+        }
     }
 
     /// Size of the current that two phases carry, whatever its sign [A].
@@ -502,7 +540,7 @@ impl Signals {
             temperature,
             voltage: at(BenchChannel::Voltage),
             supply: at(BenchChannel::VDc),
-            phases: Phases::new(bench, run, clock.from_position),
+            phases: Phases::new(bench, run, clock),
             position,
             user,
             velocity: at(BenchChannel::Velocity),

@@ -190,6 +190,8 @@ pub struct Rig {
     pub one_constant: Option<(f64, f64)>,
     pub gear_ratio: f64,
     pub pole_pairs: f64,
+    /// step of the test bench whose constants are looked for [s]; 0 without one
+    pub step_s: f64,
     pub supply_voltage: f64,
     /// half-width of the known play, at the motor [rad]
     pub play: f64,
@@ -651,6 +653,7 @@ fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
         one_constant,
         gear_ratio,
         pole_pairs,
+        step_s: actuator.map_or(0.0, |a| a.step_s),
         supply_voltage,
         play: actuator.map_or(0.0, |a| a.backlash_half_width_rad * a.gear_ratio),
         controller,

@@ -21,6 +21,8 @@ pub struct Beside {
     pub value: f64,
     /// half-width of its 95 % interval
     pub half: f64,
+    /// phase whose sensor has it, of an offset (0, 1, 2)
+    pub sensor: Option<usize>,
     /// what it is seen in
     pub seen_in: &'static str,
     /// of `before` and `after`
@@ -124,7 +126,7 @@ pub fn beside(m: &Material, model: &Fit, first: &[Nuisance]) -> Vec<Beside> {
     let find = runs(m, &m.fit, false);
     let prove = m.held.as_ref().map_or_else(|| find.clone(), |h| runs(m, h, true));
     let both = [&find[..], &prove[..]];
-    [commutation(m, both), offset(m, both), saturation(m, model, both)]
+    [commutation(m, both), offset(m, model, both), saturation(m, model, both)]
         .into_iter()
         .flatten()
         .chain(together(m, model, first))
@@ -144,6 +146,7 @@ fn found(kind: EffectKind, (value, sd): (f64, f64), seen_in: (&'static str, &'st
         kind,
         value,
         half: NORMAL_95 * sd,
+        sensor: None,
         seen_in: seen_in.0,
         unit: seen_in.1,
         before: rms.0,
@@ -235,7 +238,7 @@ fn commutation(m: &Material, [find, prove]: Both) -> Option<Beside> {
 }
 
 /// What the phase currents add up to, which is nothing but the offsets of their sensors.
-fn offset(m: &Material, [find, prove]: Both) -> Option<Beside> {
+fn offset(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> {
     let spec = m.bench.channel(BenchChannel::CurrentA)?;
     let believed = spec.offset.unwrap_or(noise_of(m, BenchChannel::CurrentA)) * 3f64.sqrt();
     let sums = |s: &Signals| -> Sums {
@@ -261,8 +264,39 @@ fn offset(m: &Material, [find, prove]: Both) -> Option<Beside> {
     // of which the sensors' usual ones are a part
     let sd = sd.hypot(believed);
     let seen = ("sum of the phase currents", "A");
-    holds(value, sd, LEAST_OFFSET * believed, before, after)
-        .then(|| found(EffectKind::CurrentOffset, (value, sd), seen, (before, after)))
+    holds(value, sd, LEAST_OFFSET * believed, before, after).then(|| Beside {
+        sensor: sensor_of(m, model, find, value),
+        ..found(EffectKind::CurrentOffset, (value, sd), seen, (before, after))
+    })
+}
+
+/// Share of an offset by which its phase stands out, and which no other phase may reach (assumed).
+const STANDS_OUT: f64 = 2.0 / 3.0;
+
+/// The phase whose sensor has an offset: its voltage drives less than it shows through the resistance, or more. `None` where
+/// voltages are not measured or more than one sensor has its part.
+fn sensor_of(m: &Material, model: &Fit, find: &[(&Run, &Signals)], offset: f64) -> Option<usize> {
+    let (r, ke) = (
+        0.5 * fit::constant(&m.nuisances, model, "resistance"),
+        0.5 * fit::constant(&m.nuisances, model, "torque_constant"),
+    );
+    let (mut sums, mut count) = ([0.0; 3], 0.0);
+    for (_, s) in find {
+        let p = s.phases.as_ref()?;
+        let v = p.voltage.as_ref()?;
+        for (q, sum) in sums.iter_mut().enumerate() {
+            // what the inductance takes is nothing in the mean
+            let emf = p.back_emf(s, q);
+            *sum += (0..s.n)
+                .map(|k| p.current[q][k] - (v[q][k] - ke * emf[k]) / r)
+                .sum::<f64>();
+        }
+        count += s.n as f64;
+    }
+    let share = sums.map(|sum| sum / count / offset);
+    let most = (0..3).max_by(|a, b| share[*a].total_cmp(&share[*b]))?;
+    let alone = (0..3).all(|q| q == most || share[q].abs() < 1.0 - STANDS_OUT);
+    (share[most] > STANDS_OUT && alone).then_some(most)
 }
 
 /// Stretches of strong current: what they give to the motion beside what the flux makes of them. `y = x - coefficient z`,
@@ -477,6 +511,7 @@ pub(super) fn together(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<
         ),
     };
     Some(Beside {
+        sensor: None,
         ambiguous: if either { vec![other] } else { Vec::new() },
         factors,
         ..found(kind, (value, sd), (seen, "-"), rms)

@@ -2,6 +2,7 @@
 
 use crate::told::verify::Verification;
 use serde_json::{Map, Value, json};
+use sim_worker::effect::PHASES;
 
 /// An identified number.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,6 +42,8 @@ pub struct FoundEffect {
     pub ambiguous_with: Vec<String>,
     /// another name of the same term
     pub alias: Option<String>,
+    /// phase whose sensor has it, of an offset (0, 1, 2)
+    pub sensor: Option<usize>,
     /// channel in which the effect lives
     pub channel: String,
     /// gap of that channel on held-out data without it and with it; `None` where nothing was held out
@@ -253,6 +256,7 @@ impl Findings {
                     "runner_up": e.runner_up,
                     "ambiguous_with": e.ambiguous_with,
                     "alias": e.alias,
+                    "sensor": e.sensor.map(|q| PHASES[q]),
                     "channel": e.channel,
                     "heldout_before": e.heldout.map(|h| h.0),
                     "heldout_after": e.heldout.map(|h| h.1),

@@ -230,6 +230,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     let c = to_channel(m, m.seen_in(term.kind));
                     (c * p.1, c * p.2)
                 }),
+                sensor: None,
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
         })
@@ -257,6 +258,7 @@ fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
         runner_up: None,
         ambiguous_with: b.ambiguous.iter().map(|k| k.name().to_string()).collect(),
         alias: None,
+        sensor: b.sensor,
         channel: b.seen_in.to_string(),
         heldout: m.held.is_some().then_some((b.before, b.after)),
     }
