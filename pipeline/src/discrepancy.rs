@@ -5,16 +5,18 @@ use crate::check::setup_of;
 use crate::interruptible::interruptible;
 use crate::report_pages::discrepancy as page;
 use anyhow::Result;
-use ema_study::measured::bench::{Bench, is_recording};
+use ema_study::measured::bench::{Bench, BenchChannel, is_recording};
 use ema_study::measured::{check, recording};
+use ema_study::search::beside::Beside;
 use ema_study::search::select::Material;
+use ema_study::search::study::Outcome;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
-use ema_study::told::{next, persist, tell, verify};
+use ema_study::told::{in_loop, next, persist, tell, verify};
 use schemas::error::{Error, write_whole};
 use serde_json::Value;
-use sim_worker::effect::{Effect, Note};
+use sim_worker::effect::{Effect, EffectKind, Note};
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -160,19 +162,62 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
             all.dedup();
             all
         };
-        let with_current = bench.rig.drive == ema_study::measured::bench::BenchChannel::Current;
+        let with_current = bench.rig.drive == BenchChannel::Current;
         let known = actuator
             .as_ref()
             .map_or_else(|| bench.effects.clone(), |a| a.effects.clone());
         let (as_read, of_study) = (bench.clone(), known.clone());
         let search =
             move |tell: &dyn Fn(&str)| ema_study::search::study::study(Material::new(bench, runs, &of_study), tell);
-        let outcome = interruptible(tell_user, search)?;
+        let mut outcome = interruptible(tell_user, search)?;
         tell_user("intervals and report");
-        findings = tell::findings(&outcome, &name);
-        if telemetry && request.model.is_none() {
-            let text = "no --actuator: the recordings are taken for the reference actuator's";
-            findings.assumptions.push(text.to_string());
+        let told = |outcome: &Outcome| {
+            let mut f = tell::findings(outcome, &name);
+            if telemetry && request.model.is_none() {
+                let text = "no --actuator: the recordings are taken for the reference actuator's";
+                f.assumptions.push(text.to_string());
+            }
+            f
+        };
+        findings = told(&outcome);
+        let mut new = None;
+        if let Some(actuator) = actuator.as_ref() {
+            let model =
+                |f: &Findings| with_what_was_found(f, actuator, (&name, &text), with_current, &bench_file, &hashes);
+            new = Some(model(&findings));
+            if telemetry || request.verify {
+                let what = "the simulators under the recorded command";
+                let verified = |new: &schemas::error::Result<String>, verdict| -> Result<_> {
+                    let child = match new {
+                        Ok(text) if verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
+                        _ => actuator.clone(),
+                    };
+                    let (bench, parent, of) = (as_read.clone(), actuator.clone(), child.clone());
+                    tell_user(what);
+                    let verified = interruptible(tell_user, move |_| verify::verify(&bench, &parent, &of))??;
+                    Ok((child, verified))
+                };
+                let (child, mut verification) = verified(new.as_ref().expect("just made"), outcome.verdict)?;
+                if let Some(late) = late_control(&as_read, child, &verification, &outcome, tell_user)? {
+                    outcome.verdict = outcome.verdict.beside(std::slice::from_ref(&late));
+                    outcome.beside.push(late);
+                    findings = told(&outcome);
+                    let with = model(&findings);
+                    verification = verified(&with, outcome.verdict)?.1;
+                    new = Some(with);
+                }
+                let driven = verification
+                    .channels
+                    .iter()
+                    .any(|c| c.channel == BenchChannel::Velocity.name());
+                if driven {
+                    // the simulated loop shows it
+                    findings
+                        .not_excited
+                        .retain(|(n, _)| n != EffectKind::ControlDelay.name());
+                }
+                findings.verification = Some(verification);
+            }
         }
         // only what is proven on machines that somebody calls healthy may change what healthy means
         let proven = outcome.material.held.is_some() && findings.health == "healthy";
@@ -186,18 +231,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
             let all: Vec<Effect> = known.iter().cloned().chain(found).collect();
             rig_text = Some(persist::rig(&as_read, &findings.retuned, &all, &source));
         }
-        if let Some(actuator) = actuator.as_ref() {
-            let new = with_what_was_found(&findings, actuator, (&name, &text), with_current, &bench_file, &hashes);
-            if telemetry || request.verify {
-                tell_user("the simulators under the recorded command");
-                let child = match &new {
-                    Ok(text) if outcome.verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
-                    _ => actuator.clone(),
-                };
-                let parent = actuator.clone();
-                let verified = interruptible(tell_user, move |_| verify::verify(&as_read, &parent, &child))?;
-                findings.verification = Some(verified?);
-            }
+        if let Some(new) = new {
             match new {
                 Ok(new) if proven && settled => {
                     findings.diff = persist::diff(&text, &new);
@@ -247,6 +281,30 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         rig: written_rig,
         report,
     })
+}
+
+/// Whether the simulated loop shows the controller's output to be late; nothing where effects are left that have no name.
+///
+/// # Errors
+/// Recordings that cannot be read; where it was interrupted.
+fn late_control(
+    bench: &Bench,
+    child: ActuatorParameters,
+    verification: &verify::Verification,
+    outcome: &Outcome,
+    tell_user: &dyn Fn(&str),
+) -> Result<Option<Beside>> {
+    if !matches!(outcome.verdict, Verdict::None | Verdict::Retune | Verdict::Named) {
+        return Ok(None);
+    }
+    let noise = outcome
+        .material
+        .noise
+        .get(&BenchChannel::Velocity)
+        .map_or(0.0, |n| n.rms);
+    let (bench, verification) = (bench.clone(), verification.clone());
+    let look = move |_: &dyn Fn(&str)| in_loop::late_control(&bench, &child, &verification, noise);
+    Ok(interruptible(tell_user, look)??)
 }
 
 /// The actuator's file with the constants and effects that were found.

@@ -133,6 +133,7 @@ impl Phases {
                 run.channel(c[2])?.to_vec(),
             ])
         };
+        let current = three(BenchChannel::CURRENTS)?;
         let ends = run.channel(BenchChannel::Position).map(|x| {
             let middle = |c| clock.shift(bench, c) * clock.rate_hz;
             shifted(
@@ -142,7 +143,7 @@ impl Phases {
             )
         });
         Some(Self {
-            current: three(BenchChannel::CURRENTS)?,
+            current,
             voltage: three(BenchChannel::VOLTAGES),
             supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),
             pole_pairs: bench.rig.pole_pairs,

@@ -34,7 +34,7 @@ pub struct Material {
     pub bench: Bench,
     pub runs: Arc<Vec<Run>>,
     /// of every channel; it does not change while a study goes on
-    pub(super) noise: NoiseTable,
+    pub noise: NoiseTable,
     pub clock: Clock,
     pub equations: Vec<Equation>,
     pub nuisances: Vec<Nuisance>,

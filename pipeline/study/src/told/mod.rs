@@ -1,6 +1,7 @@
 pub mod compare;
 pub mod compare_motion;
 pub mod findings;
+pub mod in_loop;
 pub mod next;
 pub mod persist;
 pub mod places;

@@ -10,7 +10,7 @@ use schemas::error::Result;
 use schemas::fault::FaultState;
 use sim_worker::monitor::{MonitorModel, STEP_S};
 use sim_worker::parameters::ActuatorParameters;
-use sim_worker::test_bench::{Lane, NumericalTestBench};
+use sim_worker::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -90,19 +90,19 @@ const CHANNELS: [(BenchChannel, Channel); 8] = [
 ];
 
 /// One recording, from its start.
-struct Recorded {
+pub(super) struct Recorded {
     file: String,
-    time_s: Vec<f64>,
+    pub(super) time_s: Vec<f64>,
     /// user side [rad]
     command: Vec<f64>,
-    measured: BTreeMap<BenchChannel, Vec<f64>>,
+    pub(super) measured: BTreeMap<BenchChannel, Vec<f64>>,
     load_n_m: f64,
     /// samples by which the gap is judged
     counted: Vec<bool>,
 }
 
 /// Simulated channels of a recording, sample by sample.
-type Simulated = BTreeMap<BenchChannel, Vec<f64>>;
+pub(super) type Simulated = BTreeMap<BenchChannel, Vec<f64>>;
 
 /// Runs the test bench and the simplified model under the commands of all recordings of a bench.
 ///
@@ -116,44 +116,15 @@ pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParame
         ..Verification::default()
     };
     let judged = if out.heldout { Role::HeldOut } else { Role::Fit };
-    let mut groups: Vec<Vec<&RunSpec>> = Vec::new();
-    let moving = |r: &&RunSpec| !r.steady && matches!(r.role, Role::Fit | Role::Select | Role::HeldOut);
-    for r in bench.runs.iter().filter(moving) {
-        match groups
-            .iter_mut()
-            .find(|g| g[0].file == r.file && g[0].filter == r.filter)
-        {
-            Some(g) => g.push(r),
-            None => groups.push(vec![r]),
-        }
-    }
-    let mut tables: BTreeMap<&PathBuf, Table> = BTreeMap::new();
+    let (all, left_out) = recordings(bench, &[judged])?;
+    out.left_out = left_out;
     let mut sums: BTreeMap<BenchChannel, Sums> = BTreeMap::new();
     let mut stretches: Vec<(BenchChannel, f64, DrivenTrace)> = Vec::new();
-    let mut simulated_s = 0.0;
-    for group in groups {
-        if !group.iter().any(|r| r.role == judged) {
-            continue;
-        }
-        let file = &group[0].file;
-        if !tables.contains_key(file) {
-            tables.insert(file, with_q_current(Table::filled(file)?));
-        }
-        let recorded = match recorded(bench, &group, judged, &tables[file])? {
-            Ok(r) => r,
-            Err(why) => {
-                out.left_out.push(format!("{}: {why}", file.display()));
-                continue;
-            }
+    for (_, recorded) in all {
+        let of = |p: &ActuatorParameters| {
+            let mut bench = driven::<1>(bench, &recorded, std::slice::from_ref(p));
+            (bench.swap_remove(0), simplified(&recorded, p))
         };
-        let length = recorded.time_s.last().expect("samples") - recorded.time_s[0];
-        if simulated_s + length > LONGEST_S {
-            let why = format!("beyond the {LONGEST_S} s that are simulated");
-            out.left_out.push(format!("{}: {why}", file.display()));
-            continue;
-        }
-        simulated_s += length;
-        let of = |p: &ActuatorParameters| (driven(bench, &recorded, p), simplified(&recorded, p));
         let ((before, simple_before), (after, simple_after)) = rayon::join(|| of(parent), || of(child));
         for (channel, _) in CHANNELS {
             let (Some(x), Some(a), Some(b)) = (
@@ -203,6 +174,55 @@ pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParame
     Ok(out)
 }
 
+/// A recording and the runs of a bench that are pieces of it.
+pub(super) type OfRuns<'a> = (Vec<&'a RunSpec>, Recorded);
+
+/// Recordings with a run of one of these roles, as far as they can be simulated, and what is left out and why.
+///
+/// # Errors
+/// Refuses files that cannot be read.
+pub(super) fn recordings<'a>(bench: &'a Bench, roles: &[Role]) -> Result<(Vec<OfRuns<'a>>, Vec<String>)> {
+    let mut groups: Vec<Vec<&RunSpec>> = Vec::new();
+    let moving = |r: &&RunSpec| !r.steady && matches!(r.role, Role::Fit | Role::Select | Role::HeldOut);
+    for r in bench.runs.iter().filter(moving) {
+        match groups
+            .iter_mut()
+            .find(|g| g[0].file == r.file && g[0].filter == r.filter)
+        {
+            Some(g) => g.push(r),
+            None => groups.push(vec![r]),
+        }
+    }
+    let mut tables: BTreeMap<&PathBuf, Table> = BTreeMap::new();
+    let (mut out, mut left_out) = (Vec::new(), Vec::new());
+    let mut simulated_s = 0.0;
+    for group in groups {
+        if !group.iter().any(|r| roles.contains(&r.role)) {
+            continue;
+        }
+        let file = &group[0].file;
+        if !tables.contains_key(file) {
+            tables.insert(file, with_q_current(Table::filled(file)?));
+        }
+        let recorded = match recorded(bench, &group, roles, &tables[file])? {
+            Ok(r) => r,
+            Err(why) => {
+                left_out.push(format!("{}: {why}", file.display()));
+                continue;
+            }
+        };
+        let length = recorded.time_s.last().expect("samples") - recorded.time_s[0];
+        if simulated_s + length > LONGEST_S {
+            let why = format!("beyond the {LONGEST_S} s that are simulated");
+            left_out.push(format!("{}: {why}", file.display()));
+            continue;
+        }
+        simulated_s += length;
+        out.push((group, recorded));
+    }
+    Ok((out, left_out))
+}
+
 /// Sums of squares of a channel.
 #[derive(Default)]
 struct Sums {
@@ -217,7 +237,7 @@ struct Sums {
 fn recorded(
     bench: &Bench,
     group: &[&RunSpec],
-    judged: Role,
+    roles: &[Role],
     table: &Table,
 ) -> Result<std::result::Result<Recorded, String>> {
     let spec = group[0];
@@ -271,7 +291,7 @@ fn recorded(
         }
     }
     let counted = |t: &f64| {
-        let of = |r: &&&RunSpec| r.role == judged;
+        let of = |r: &&&RunSpec| roles.contains(&r.role);
         group
             .iter()
             .filter(of)
@@ -353,28 +373,32 @@ impl Recorded {
     }
 }
 
-/// The numerical test bench under the recorded command.
-fn driven(bench: &Bench, r: &Recorded, p: &ActuatorParameters) -> Simulated {
-    let dt = p.step_s;
+/// The numerical test bench under the recorded command, with parameters that have one step, at most as many as it has lanes.
+pub(super) fn driven<const N: usize>(bench: &Bench, r: &Recorded, actuators: &[ActuatorParameters]) -> Vec<Simulated>
+where
+    Kernel: Built<N>,
+{
+    let dt = actuators[0].step_s;
     let (mut done, ends) = r.steps(dt);
     let asked: Vec<(BenchChannel, Channel)> = CHANNELS
         .into_iter()
         .filter(|(c, _)| r.measured.contains_key(c))
         .collect();
     let rest = r.measured.get(&BenchChannel::Position).map_or(0.0, |x| x[0]);
-    let lane = Lane {
+    let lane = |p: &ActuatorParameters| Lane {
         actuator: Arc::new(p.clone()),
         fault: FaultState::NOMINAL,
         rest_angle_rad: rest,
         load_n_m: r.load_n_m,
     };
+    let lanes: Vec<Lane> = actuators.iter().map(lane).collect();
     let channels = ChannelSet::of(asked.iter().map(|(_, c)| *c));
-    let mut ntb = NumericalTestBench::<1>::new(&[lane], channels);
+    let mut ntb = NumericalTestBench::<N>::new(&lanes, channels);
     let command = CommandBetween {
         time_s: &r.time_s,
         value: &r.command,
     };
-    let mut out = Simulated::new();
+    let mut out = vec![Simulated::new(); actuators.len()];
     let mut com = Vec::new();
     for (k, &end) in ends.iter().enumerate() {
         com.resize(end.saturating_sub(done) as usize, 0.0);
@@ -388,11 +412,12 @@ fn driven(bench: &Bench, r: &Recorded, p: &ActuatorParameters) -> Simulated {
             } else {
                 1.0
             };
-            let x = ntb.samples(*channel)[0] * gear;
-            let column = out.entry(*c).or_default();
-            // a mean over nothing is the last one
-            let last = column.last().copied().unwrap_or(0.0);
-            column.push(if x.is_finite() { x } else { last });
+            for (out, x) in out.iter_mut().zip(ntb.samples(*channel)) {
+                let column = out.entry(*c).or_default();
+                // a mean over nothing is the last one
+                let last = column.last().copied().unwrap_or(0.0);
+                column.push(if x.is_finite() { x * gear } else { last });
+            }
         }
     }
     out
