@@ -144,6 +144,41 @@ fn val_a_spring_of_another_hand_is_found_as_it_is() {
     }
 }
 
+/// What the phases' sums, the simulated loop and the user's sensor say, each with its value.
+#[test]
+fn val_a_sensor_a_delay_and_a_play_of_another_hand_are_found_as_they_are() {
+    let dir = tempfile::tempdir().unwrap();
+    for (effect, key, seed, sensor) in [
+        ("current_offset", "current", 12002, Some(0)),
+        ("control_delay", "delay", 12001, None),
+        ("backlash", "gap", 12001, None),
+    ] {
+        let folder = dir.path().join(effect);
+        let unit = independent::make_unit(&folder, Some(effect), 1.0, seed).unwrap();
+        let request = Request {
+            bench: vec![folder.join("healthy_long_1.csv"), folder.join("healthy_long_2.csv")],
+            healthy: true,
+            ..Request::default()
+        };
+        let found = study_file(&request, &|_| {}).unwrap();
+        let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!((found.verdict.as_str(), names), ("named", vec![effect]));
+        let (said, hidden) = (
+            &found.effects[0].parameters[0],
+            unit.key.effect.as_ref().unwrap().get(key),
+        );
+        assert!(said.lo <= hidden && hidden <= said.hi, "{effect}: {said:?} {hidden}");
+        assert!((said.value / hidden - 1.0).abs() < 0.12, "{effect}: {said:?} {hidden}");
+        assert_eq!(found.effects[0].sensor, sensor);
+        // all of them hold their phases at 0.36 mH
+        let inductance = found.retuned.iter().find(|r| r.name == "inductance").unwrap();
+        assert!(
+            (inductance.value / 0.72e-3 - 1.0).abs() < 0.02,
+            "{effect}: {inductance:?}"
+        );
+    }
+}
+
 #[test]
 fn val_recordings_of_an_independent_program_get_their_names_and_no_others() {
     let dir = tempfile::tempdir().unwrap();

@@ -184,13 +184,14 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
 }
 
 /// What is believed of nuisances beside effects, where it is another: beside a drive that is late the law's clock would be the
-/// same delay once more; whether what is said of the inertia is with a load on its spring or without it, nobody knows.
+/// same delay once more; a play is the whole of it, that of the type included; whether what is said of the inertia is with a load on its spring or without it, nobody knows.
 pub fn beside(nuisances: &[Nuisance], kinds: impl IntoIterator<Item = EffectKind>) -> Option<Vec<Nuisance>> {
     let mut all: Option<Vec<Nuisance>> = None;
     for kind in kinds {
         let name = match kind {
             EffectKind::ControlDelay => "law_clock",
             EffectKind::Compliance => "inertia",
+            EffectKind::Backlash => "play",
             _ => continue,
         };
         let named = all.get_or_insert_with(|| nuisances.to_vec()).iter_mut();
@@ -199,6 +200,9 @@ pub fn beside(nuisances: &[Nuisance], kinds: impl IntoIterator<Item = EffectKind
                 EffectKind::Compliance => n.trust.map(|t| t.max(1.0)),
                 _ => Some(1e-9),
             };
+            if kind == EffectKind::Backlash {
+                n.centre = -1.0;
+            }
         }
     }
     all

@@ -20,8 +20,9 @@ const FINER_S: f64 = 5e-5;
 /// runs (assumed).
 const CERTAIN: f64 = 5.0;
 const LEAST_SHARE: f64 = 0.5;
-/// Least standard deviation [s]: the step of the simulator.
-const LEAST_S: f64 = 1e-6;
+/// Standard deviation of a delay in samples of the command: nobody knows what it does between them. Lines whose slope changed
+/// within samples of 0.5 ms made delays of another hand's actuators 14 to 25 us too long.
+const BETWEEN_SAMPLES: f64 = 0.05;
 
 /// Squared gaps of the speed by delay, of a piece that finds or of one that proves, and its samples.
 struct Piece {
@@ -68,7 +69,8 @@ pub fn late_control(
     let without: Vec<f64> = finds.iter().filter_map(|p| least(&around, &finer, Some(*p))).collect();
     let n = without.len() as f64;
     let sd = ((n - 1.0) / n * without.iter().map(|x| (x - value).powi(2)).sum::<f64>()).sqrt();
-    let sd = sd.max(LEAST_S);
+    let step = |r: &OfRuns<'_>| r.1.time_s[1] - r.1.time_s[0];
+    let sd = sd.hypot(BETWEEN_SAMPLES * all.iter().map(step).fold(0.0, f64::max));
     if without.len() < 3 || value < CERTAIN * sd {
         return Ok(None);
     }
