@@ -285,6 +285,7 @@ mod tests {
                 explained_share: 0.9,
                 runner_up: None,
                 ambiguous_with: vec!["compliance".into()],
+                sensor: None,
                 alias: None,
                 channel: "user_position".into(),
                 heldout: None,

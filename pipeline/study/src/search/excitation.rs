@@ -49,7 +49,9 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
             {
                 Some("no second sensor of the motion")
             }
-            K::ControlDelay if m.bench.own => Some("the band of the drive's current control hides it, and no simulated loop was there to show it"),
+            K::ControlDelay if m.bench.own => {
+                Some("the band of the drive's current control hides it, and no simulated loop was there to show it")
+            }
             K::ControlDelay if m.bench.rig.controller.is_none() || !m.has(BenchChannel::Command) => {
                 Some("no command, or no law in [rig.controller]")
             }
