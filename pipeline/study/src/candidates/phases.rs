@@ -19,10 +19,10 @@ fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) 
             torque[k] -= ke * p.current[q][k] * shape[k];
         }
         if p.voltage.is_some() {
-            let whole = p.mean(s, |theta| {
+            let whole = p.swept(s, |theta| {
                 effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64) * share(q, theta)
             });
-            let signal = (0..s.n).map(|k| ke * p.speed(s, k) * whole[k]).collect();
+            let signal = whole.iter().map(|x| ke * x).collect();
             column.push(Piece {
                 equation: Equation::Electrical,
                 order: 0,
