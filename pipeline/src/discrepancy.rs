@@ -184,27 +184,25 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         if let Some(actuator) = actuator.as_ref() {
             let model =
                 |f: &Findings| with_what_was_found(f, actuator, (&name, &text), with_current, &bench_file, &hashes);
-            new = Some(model(&findings));
+            let mut made = model(&findings);
             if telemetry || request.verify {
-                let what = "the simulators under the recorded command";
                 let verified = |new: &schemas::error::Result<String>, verdict| -> Result<_> {
                     let child = match new {
                         Ok(text) if verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
                         _ => actuator.clone(),
                     };
                     let (bench, parent, of) = (as_read.clone(), actuator.clone(), child.clone());
-                    tell_user(what);
+                    tell_user("the simulators under the recorded command");
                     let verified = interruptible(tell_user, move |_| verify::verify(&bench, &parent, &of))??;
                     Ok((child, verified))
                 };
-                let (child, mut verification) = verified(new.as_ref().expect("just made"), outcome.verdict)?;
+                let (child, mut verification) = verified(&made, outcome.verdict)?;
                 if let Some(late) = late_control(&as_read, child, &verification, &outcome, tell_user)? {
                     outcome.verdict = outcome.verdict.beside(std::slice::from_ref(&late));
                     outcome.beside.push(late);
                     findings = told(&outcome);
-                    let with = model(&findings);
-                    verification = verified(&with, outcome.verdict)?.1;
-                    new = Some(with);
+                    made = model(&findings);
+                    verification = verified(&made, outcome.verdict)?.1;
                 }
                 let driven = verification
                     .channels
@@ -218,6 +216,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                 }
                 findings.verification = Some(verification);
             }
+            new = Some(made);
         }
         // only what is proven on machines that somebody calls healthy may change what healthy means
         let proven = outcome.material.held.is_some() && findings.health == "healthy";

@@ -6,6 +6,7 @@ mod common;
 use common::process::run;
 use ema_tests::independent;
 use ema_tests::second::{self, Class};
+use pipeline::Findings;
 use pipeline::discrepancy::{Request, study_file};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -21,6 +22,16 @@ fn studied(bench: Vec<PathBuf>) -> (String, BTreeSet<String>) {
         Ok(f) => (f.verdict, f.effects.into_iter().map(|e| e.name).collect()),
         Err(e) => (format!("refused: {e}"), set(&["refused"])),
     }
+}
+
+/// Of a unit's two long recordings.
+fn study_of(folder: &Path) -> Findings {
+    let request = Request {
+        bench: vec![folder.join("healthy_long_1.csv"), folder.join("healthy_long_2.csv")],
+        healthy: true,
+        ..Request::default()
+    };
+    study_file(&request, &|_| {}).unwrap()
 }
 
 fn set(names: &[&str]) -> BTreeSet<String> {
@@ -114,12 +125,7 @@ fn val_a_spring_of_another_hand_is_found_as_it_is() {
     ] {
         let folder = dir.path().join(seed.to_string());
         let key = independent::make_unit(&folder, Some(effect), 1.0, seed).unwrap();
-        let request = Request {
-            bench: vec![folder.join("healthy_long_1.csv"), folder.join("healthy_long_2.csv")],
-            healthy: true,
-            ..Request::default()
-        };
-        let found = study_file(&request, &|_| {}).unwrap();
+        let found = study_of(&folder);
         let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
         assert_eq!(names, [effect], "{seed}");
         if effect != "compliance" {
@@ -155,12 +161,7 @@ fn val_a_sensor_a_delay_and_a_play_of_another_hand_are_found_as_they_are() {
     ] {
         let folder = dir.path().join(effect);
         let unit = independent::make_unit(&folder, Some(effect), 1.0, seed).unwrap();
-        let request = Request {
-            bench: vec![folder.join("healthy_long_1.csv"), folder.join("healthy_long_2.csv")],
-            healthy: true,
-            ..Request::default()
-        };
-        let found = study_file(&request, &|_| {}).unwrap();
+        let found = study_of(&folder);
         let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
         assert_eq!((found.verdict.as_str(), names), ("named", vec![effect]));
         let (said, hidden) = (

@@ -6,8 +6,7 @@ use crate::equations::samples::shifted;
 use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{self, ChannelNoise, Run};
-use sim_worker::effect;
-use sim_worker::effect::Play;
+use sim_worker::effect::{self, Play};
 use std::collections::BTreeMap;
 
 /// Highest corner of the filters as a share of the sampling rate, and lowest corner [Hz] (assumed).
@@ -115,10 +114,10 @@ pub struct Phases {
     /// of the supply
     pub supply: Option<Vec<f64>>,
     pub pole_pairs: f64,
-    /// measured angle where the samples end [rad], half a step of the test bench earlier: it steps explicitly, by the back-EMF
+    /// angle where each sample begins and where the last one ends [rad], half a step of the test bench earlier: it steps explicitly, by the back-EMF
     /// of a step's beginning. Half a microsecond looks like 2 % of the inductance: what current and back-EMF change by is seen
     /// where phases commutate, both at once
-    ends: Option<Vec<f64>>,
+    edges: Option<Vec<f64>>,
     /// error of the angle sensor, and whether the speed is that of the measured angle
     encoder: (f64, f64),
     from_position: bool,
@@ -142,20 +141,20 @@ impl Phases {
             x.windows(2)
                 .all(|w| bench.rig.pole_pairs * (w[1] - w[0]).abs() < MOST_FLUX_SWEEP)
         };
-        let ends = run.channel(BenchChannel::Position).filter(slow).map(|x| {
-            let middle = |c| clock.shift(bench, c) * clock.rate_hz;
-            shifted(
-                x,
-                middle(BenchChannel::Position) - middle(BenchChannel::CurrentA) + 0.5
-                    - 0.5 * bench.rig.step_s * clock.rate_hz,
-            )
+        let edges = run.channel(BenchChannel::Position).filter(slow).map(|x| {
+            let late = clock.shift(bench, BenchChannel::Position) - clock.shift(bench, BenchChannel::CurrentA);
+            let ends = shifted(x, (late - 0.5 * bench.rig.step_s) * clock.rate_hz + 0.5);
+            let ends: Vec<f64> = ends.iter().map(|x| true_angle(bench.rig.encoder, *x)).collect();
+            // before the first, the same way again
+            let begins = 2.0 * ends[0] - ends[1.min(ends.len() - 1)];
+            std::iter::once(begins).chain(ends).collect()
         });
         Some(Self {
             current,
             voltage: three(BenchChannel::VOLTAGES),
             supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),
             pole_pairs: bench.rig.pole_pairs,
-            ends,
+            edges,
             encoder: bench.rig.encoder,
             from_position: clock.from_position,
         })
@@ -173,7 +172,7 @@ impl Phases {
     }
 
     /// Speed of the rotor itself [rad/s].
-    pub fn speed(&self, s: &Signals, k: usize) -> f64 {
+    fn speed(&self, s: &Signals, k: usize) -> f64 {
         if !self.from_position || self.encoder == (0.0, 0.0) {
             return s.omega[k];
         }
@@ -187,17 +186,14 @@ impl Phases {
     pub fn back_emf(&self, s: &Signals, q: usize) -> Vec<f64> {
         let turn = std::f64::consts::TAU / 3.0 * q as f64;
         let flux = |theta: f64| effect::flux(self.pole_pairs * theta - turn) / self.pole_pairs;
-        match &self.ends {
-            Some(ends) => {
-                let at: Vec<f64> = ends.iter().map(|x| flux(true_angle(self.encoder, *x))).collect();
-                let before = |k: usize| {
-                    if k == 0 {
-                        2.0 * at[0] - at[1.min(s.n - 1)]
-                    } else {
-                        at[k - 1]
-                    }
-                };
-                (0..s.n).map(|k| (at[k] - before(k)) * s.rate_hz).collect()
+        match &self.edges {
+            Some(edges) => {
+                let mut at: Vec<f64> = edges.iter().map(|x| flux(*x)).collect();
+                if let [first, second, third, ..] = &mut at[..] {
+                    // where the first sample begins nothing is measured: its change is taken for that of the second
+                    *first = 2.0 * *second - *third;
+                }
+                at.windows(2).map(|w| (w[1] - w[0]) * s.rate_hz).collect()
             }
             None => self.swept(s, |theta| effect::shape(self.pole_pairs * theta - turn)),
         }
@@ -205,24 +201,13 @@ impl Phases {
 
     /// Mean over each sample of a function of the angle times the speed [rad/s].
     pub fn swept(&self, s: &Signals, f: impl Fn(f64) -> f64) -> Vec<f64> {
-        let Some(ends) = &self.ends else {
-            let mean = self.mean(s, f);
-            return mean.iter().enumerate().map(|(k, f)| f * self.speed(s, k)).collect();
-        };
-        let at = |k: usize| true_angle(self.encoder, ends[k]);
-        let before = |k: usize| {
-            if k == 0 {
-                2.0 * at(0) - at(1.min(s.n - 1))
-            } else {
-                at(k - 1)
-            }
-        };
-        let one = |k: usize| {
-            let (from, way) = (before(k), at(k) - before(k));
-            let sum: f64 = (0..6).map(|j| f(from + way * (f64::from(j) + 0.5) / 6.0)).sum();
-            sum / 6.0 * way * s.rate_hz
-        };
-        (0..s.n).map(one).collect()
+        match &self.edges {
+            Some(edges) => edges
+                .windows(2)
+                .map(|w| along((w[0], w[1]), &f) * (w[1] - w[0]) * s.rate_hz)
+                .collect(),
+            None => (0..s.n).map(|k| along(self.way(s, k), &f) * self.speed(s, k)).collect(),
+        }
     }
 
     /// Size of the current that two phases carry, whatever its sign [A].
@@ -251,17 +236,12 @@ impl Phases {
             })
             .collect()
     }
+}
 
-    /// Mean over each sample of a function of the angle.
-    pub fn mean(&self, s: &Signals, f: impl Fn(f64) -> f64) -> Vec<f64> {
-        (0..s.n)
-            .map(|k| {
-                let (from, to) = self.way(s, k);
-                let at = |j: usize| f(from + (to - from) * (j as f64 + 0.5) / 6.0);
-                (0..6).map(at).sum::<f64>() / 6.0
-            })
-            .collect()
-    }
+/// Mean of a function over the way from one angle to another.
+fn along((from, to): (f64, f64), f: impl Fn(f64) -> f64) -> f64 {
+    let at = |j: usize| f(from + (to - from) * (j as f64 + 0.5) / 6.0);
+    (0..6).map(at).sum::<f64>() / 6.0
 }
 
 impl Clock {

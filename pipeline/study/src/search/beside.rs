@@ -94,7 +94,7 @@ fn jackknife(parts: &[Sums]) -> Option<(f64, f64)> {
 }
 
 /// Standard deviation by estimates that each leave one part out.
-fn scatter(without: impl ExactSizeIterator<Item = f64>, value: f64) -> f64 {
+pub fn scatter(without: impl ExactSizeIterator<Item = f64>, value: f64) -> f64 {
     let n = without.len() as f64;
     ((n - 1.0) / n * without.map(|x| (x - value).powi(2)).sum::<f64>()).sqrt()
 }
@@ -141,7 +141,15 @@ fn noise_of(m: &Material, c: BenchChannel) -> f64 {
     m.noise.get(&c).map_or(0.0, |n| n.rms)
 }
 
-fn found(kind: EffectKind, (value, sd): (f64, f64), seen_in: (&'static str, &'static str), rms: (f64, f64)) -> Beside {
+/// Nothing that cannot be told from it, in no sensor.
+///
+/// * `seen_in` with the unit of `rms`, which is without it and with it
+pub fn found(
+    kind: EffectKind,
+    (value, sd): (f64, f64),
+    seen_in: (&'static str, &'static str),
+    rms: (f64, f64),
+) -> Beside {
     Beside {
         kind,
         value,
@@ -511,7 +519,6 @@ pub(super) fn together(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<
         ),
     };
     Some(Beside {
-        sensor: None,
         ambiguous: if either { vec![other] } else { Vec::new() },
         factors,
         ..found(kind, (value, sd), (seen, "-"), rms)

@@ -184,7 +184,8 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
 }
 
 /// What is believed of nuisances beside effects, where it is another: beside a drive that is late the law's clock would be the
-/// same delay once more; a play is the whole of it, that of the type included; whether what is said of the inertia is with a load on its spring or without it, nobody knows.
+/// same delay once more; a play is the whole of it, that of the type included; whether what is said of the inertia is with a
+/// load on its spring or without it, nobody knows.
 pub fn beside(nuisances: &[Nuisance], kinds: impl IntoIterator<Item = EffectKind>) -> Option<Vec<Nuisance>> {
     let mut all: Option<Vec<Nuisance>> = None;
     for kind in kinds {
@@ -196,12 +197,10 @@ pub fn beside(nuisances: &[Nuisance], kinds: impl IntoIterator<Item = EffectKind
         };
         let named = all.get_or_insert_with(|| nuisances.to_vec()).iter_mut();
         for n in named.filter(|n| n.name == name) {
-            n.trust = match kind {
-                EffectKind::Compliance => n.trust.map(|t| t.max(1.0)),
-                _ => Some(1e-9),
-            };
-            if kind == EffectKind::Backlash {
-                n.centre = -1.0;
+            match kind {
+                EffectKind::Compliance => n.trust = n.trust.map(|t| t.max(1.0)),
+                EffectKind::Backlash => (n.trust, n.centre) = (Some(1e-9), -1.0),
+                _ => n.trust = Some(1e-9),
             }
         }
     }

@@ -2,10 +2,10 @@
 //! current as it came; the numerical test bench under the recorded command, late by one delay or another, says which fits.
 
 use crate::measured::bench::{Bench, BenchChannel, Role, RunSpec};
-use crate::search::beside::Beside;
+use crate::search::beside::{Beside, found, scatter};
 use crate::told::verify::{self, OfRuns, Simulated, Verification};
 use schemas::error::Result;
-use sim_worker::effect::{Effect, EffectKind, NORMAL_95};
+use sim_worker::effect::{Effect, EffectKind};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::simulate::LANES;
 
@@ -67,11 +67,13 @@ pub fn late_control(
     };
     let finds: Vec<usize> = (0..finer.len()).filter(|p| !finer[*p].proves).collect();
     let without: Vec<f64> = finds.iter().filter_map(|p| least(&around, &finer, Some(*p))).collect();
-    let n = without.len() as f64;
-    let sd = ((n - 1.0) / n * without.iter().map(|x| (x - value).powi(2)).sum::<f64>()).sqrt();
+    if without.len() < 3 {
+        return Ok(None);
+    }
     let step = |r: &OfRuns<'_>| r.1.time_s[1] - r.1.time_s[0];
-    let sd = sd.hypot(BETWEEN_SAMPLES * all.iter().map(step).fold(0.0, f64::max));
-    if without.len() < 3 || value < CERTAIN * sd {
+    let between = BETWEEN_SAMPLES * all.iter().map(step).fold(0.0, f64::max);
+    let sd = scatter(without.into_iter(), value).hypot(between);
+    if value < CERTAIN * sd {
         return Ok(None);
     }
     let held = |pieces: &[Piece]| -> Option<f64> {
@@ -83,18 +85,9 @@ pub fn late_control(
         return Ok(None);
     };
     let takes = before - after > LEAST_SHARE * (before - noise * noise);
-    Ok(takes.then(|| Beside {
-        kind: EffectKind::ControlDelay,
-        value,
-        half: NORMAL_95 * sd,
-        sensor: None,
-        seen_in: "speed of the simulated loop against the measured one",
-        unit: "rad/s",
-        before: before.sqrt(),
-        after: after.sqrt(),
-        ambiguous: Vec::new(),
-        factors: Vec::new(),
-    }))
+    let seen = ("speed of the simulated loop against the measured one", "rad/s");
+    let rms = (before.sqrt(), after.sqrt());
+    Ok(takes.then(|| found(EffectKind::ControlDelay, (value, sd), seen, rms)))
 }
 
 /// The simulated speed against the measured one, piece by piece, with each of at most [`AT_ONCE`] delays.
