@@ -196,7 +196,14 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                     let verified = interruptible(tell_user, move |_| verify::verify(&bench, &parent, &of))??;
                     Ok((child, verified))
                 };
-                let (child, mut verification) = verified(&made, outcome.verdict)?;
+                let (mut child, mut verification) = verified(&made, outcome.verdict)?;
+                let (bench, of) = (as_read.clone(), child.clone());
+                outcome.source = interruptible(tell_user, move |_| in_loop::source_of_legs(&bench, &of))??;
+                if outcome.source.is_some() {
+                    findings = told(&outcome);
+                    made = model(&findings);
+                    (child, verification) = verified(&made, outcome.verdict)?;
+                }
                 if let Some(late) = late_control(&as_read, child, &verification, &outcome, tell_user)? {
                     outcome.verdict = outcome.verdict.beside(std::slice::from_ref(&late));
                     outcome.beside.push(late);

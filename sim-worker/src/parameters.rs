@@ -1,6 +1,6 @@
 //! Actuator parameters: TOML in, checked values out.
 
-use crate::effect::{self, Effect, REFERENCE_TEMPERATURE_DEGC};
+use crate::effect::{self, Draw, Effect, REFERENCE_TEMPERATURE_DEGC};
 use schemas::error::{Error, Result};
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::toml_section::{self, Section, quoted};
@@ -513,6 +513,9 @@ impl ActuatorParameters {
             }
             if let Some(q) = e.sensor {
                 text += &format!(",sensor,{q}");
+            }
+            if e.draw != Draw::default() {
+                text += &format!(",draw,{}", e.draw.name());
             }
         }
         fingerprint(&text)

@@ -220,7 +220,10 @@ impl<const N: usize> NumericalTestBench<N> {
             Channel::TorqueM => mean(&sum.torque, &u.newton_metre),
             Channel::IQ => mean(&sum.iq, &u.ampere),
             Channel::ISupply => mean(&sum.supply, &u.ampere),
-            Channel::VDc => std::array::from_fn(|l| self.supply_voltage_v[l] - self.effects.sag(l)),
+            Channel::VDc => {
+                let drawn = mean(&sum.supply, &u.ampere);
+                std::array::from_fn(|l| self.supply_voltage_v[l] - self.effects.sag(l, drawn[l]))
+            }
         }
     }
 

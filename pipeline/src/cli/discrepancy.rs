@@ -12,7 +12,7 @@ use diagnoser::report::versioned;
 use ema_study::measured::bench::is_recording;
 use ema_study::told::verify::Verification;
 use schemas::error::{EXIT_LOSS, Error};
-use sim_worker::effect::PHASES;
+use sim_worker::effect::{Draw, PHASES};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -117,6 +117,9 @@ fn to_text(f: &Findings) -> String {
         }
         if let Some(q) = e.sensor {
             t += &format!("  in the sensor of phase {}\n", PHASES[q]);
+        }
+        if e.draw == Draw::Legs {
+            t += "  by the size of the legs' current, which no capacitor levels\n";
         }
         if let Some(r) = &e.runner_up {
             t += &format!("  runner-up: {r}\n");

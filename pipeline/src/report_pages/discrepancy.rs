@@ -7,7 +7,7 @@ use super::discrepancy_figures::{
 use crate::report::{Layout, Lead, Report, Section, Table, TableRow, Tone, html};
 use anyhow::{Context as _, Result};
 use ema_study::told::findings::{ChannelGap, Findings, FoundEffect};
-use sim_worker::effect::PHASES;
+use sim_worker::effect::{Draw, PHASES};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -152,6 +152,9 @@ fn effect(n: usize, e: &FoundEffect, blocks: &mut Blocks) -> Section {
     }
     if let Some(q) = e.sensor {
         text += &format!("- It is in the sensor of phase {}.\n", PHASES[q]);
+    }
+    if e.draw == Draw::Legs {
+        text += "- The voltage goes by the size of the legs' current at every moment, not by the power that a link with a capacitor draws.\n";
     }
     match &e.runner_up {
         Some(r) => text += &format!("- Runner-up: {}\n", line(r)),

@@ -2,7 +2,7 @@
 //! `kt i = J dw/dt + C w + friction + load + sum of effects`, voltages as
 //! `v = R i + L di/dt + ke w + sum of effects`.
 
-use super::{Effect, EffectKind};
+use super::{Draw, Effect, EffectKind};
 use crate::exponential::{exp, power, tanh};
 use crate::parameters::ActuatorParameters;
 use crate::trig;
@@ -222,6 +222,7 @@ impl Effect {
         let a = self.values[0];
         match self.kind {
             EffectKind::WindingHeating => c.resistance * (self.resistance_factor() - 1.0) * s.current,
+            EffectKind::SupplySag if self.draw == Draw::Legs => a * s.duty * s.current.abs(),
             EffectKind::SupplySag => a * s.duty * s.duty * s.current,
             EffectKind::DeadTime => 2.0 * self.leg_drop(s.current),
             EffectKind::CurrentOffset => -self.current_offset(s, c) * c.resistance,

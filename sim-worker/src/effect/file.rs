@@ -1,6 +1,6 @@
 //! An effect as a table `[[effect]]` of the actuator's file.
 
-use super::{Effect, EffectKind, Note};
+use super::{Draw, Effect, EffectKind, Note};
 use schemas::error::Result;
 use schemas::toml_section::{Section, quoted};
 
@@ -89,6 +89,17 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
             let place = PHASES.iter().position(|p| *p == name).filter(|_| offset);
             e.sensor = Some(place.ok_or_else(|| t.bad("sensor", &name, allowed))?);
         }
+        if t.may_have("draw") {
+            let sag = kind == EffectKind::SupplySag;
+            let allowed = if sag {
+                "power or legs"
+            } else {
+                "nothing: it is in no source"
+            };
+            let name = t.text("draw", allowed)?;
+            let known = [Draw::Power, Draw::Legs].into_iter().find(|d| d.name() == name);
+            e.draw = known.filter(|_| sag).ok_or_else(|| t.bad("draw", &name, allowed))?;
+        }
         e.source = t.text_or("source", "assumed")?;
         if t.may_have("parent") {
             e.parent = Some(t.text("parent", "the fingerprint of an actuator")?);
@@ -137,6 +148,9 @@ impl Effect {
         }
         if let Some(q) = self.sensor {
             out += &format!("sensor = \"{}\"\n", PHASES[q]);
+        }
+        if self.draw != Draw::default() {
+            out += &format!("draw = \"{}\"\n", self.draw.name());
         }
         out += &format!("source = {}\n", quoted(&self.source));
         if !self.provenance.is_empty() {

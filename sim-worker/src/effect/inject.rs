@@ -1,7 +1,7 @@
 //! The effects of an actuator, sorted by where they act, for test bench and simplified model.
 
 use super::equations::{self, REFERENCE_TEMPERATURE_DEGC};
-use super::{Constants, Dahl, DelayLine, Effect, EffectKind, Signals, TwoMass, commutation_share};
+use super::{Constants, Dahl, DelayLine, Draw, Effect, EffectKind, Signals, TwoMass, commutation_share};
 use crate::lanes::Units;
 use crate::parameters::ActuatorParameters;
 use schemas::fault::FaultState;
@@ -29,6 +29,8 @@ pub struct Injection {
     pub commutation: f64,
     /// resistance of the source [ohm]
     pub source: f64,
+    /// nothing levels what is drawn from it, which counts by its size
+    pub bare: bool,
     /// gain of the measured current `gain i + offset`
     pub gain: f64,
     /// offset of the measured current, in the phases that conduct, by their signs [A]
@@ -78,6 +80,7 @@ impl Injection {
             turns: [1.0; 3],
             commutation: 0.0,
             source: 0.0,
+            bare: false,
             gain: 1.0,
             offset: 0.0,
             sensors: [0.0; 3],
@@ -109,7 +112,10 @@ impl Injection {
                     all.behind = Some(TwoMass::new(a, b, d.min(MOST_BEHIND * p.inertia_kg_m2), 0.0));
                 }
                 EffectKind::Backlash | EffectKind::WindingHeating => {}
-                EffectKind::SupplySag => all.source += a,
+                EffectKind::SupplySag => {
+                    all.source += a;
+                    all.bare |= e.draw == Draw::Legs;
+                }
                 EffectKind::DeadTime => all.dead_time.push(e.clone()),
                 EffectKind::TurnShort => {
                     let turns = &mut all.turns[(b as usize).min(2)];
@@ -225,8 +231,10 @@ pub struct Felt<const N: usize> {
     pub sag: [f64; N],
     /// mean of the supply current up to the last step, levelled by the bus
     pub supply: [f64; N],
-    /// weight of a step in that mean
-    pub bus: f64,
+    /// weight of a step in that mean; 1 where nothing levels it
+    pub bus: [f64; N],
+    /// the supply current counts by its size
+    pub bare: [bool; N],
     /// gain of the measured current
     pub gain: [f64; N],
     /// offset of the measured current, in the phases that conduct
@@ -309,7 +317,8 @@ impl<const N: usize> Default for LaneEffects<N> {
                 drop: [[0.0; N]; 3],
                 sag: [0.0; N],
                 supply: [0.0; N],
-                bus: 0.0,
+                bus: [0.0; N],
+                bare: [false; N],
                 gain: [ONE; N],
                 offset: [0.0; N],
                 sensor: [[0.0; N]; 3],
@@ -343,7 +352,7 @@ impl<const N: usize> LaneEffects<N> {
             b.damping = b.damping.min(inertia / p.step_s);
         }
         self.dt = p.step_s;
-        self.felt.bus = (p.step_s / BUS_S).min(1.0);
+        self.felt.bus[l] = (p.step_s / BUS_S).min(1.0);
         self.units.push(u);
         self.rad_per_s[l] = 1.0 / u.rad_per_s;
         self.newton_metre[l] = u.newton_metre;
@@ -364,6 +373,9 @@ impl<const N: usize> LaneEffects<N> {
             self.delayed |= e.delay.is_some();
             let felt = &mut self.felt;
             felt.sag[l] = 0.5 * e.source * u.volt / u.ampere;
+            if e.bare {
+                (felt.bus[l], felt.bare[l]) = (1.0, true);
+            }
             felt.gain[l] = e.gain;
             felt.offset[l] = e.offset * u.ampere;
             (0..3).for_each(|q| felt.sensor[q][l] = e.sensors[q] * u.ampere);
@@ -545,10 +557,14 @@ impl<const N: usize> LaneEffects<N> {
         self.lanes[l].as_ref()
     }
 
-    /// Voltage that the source of lane `l` loses [V].
-    pub fn sag(&self, l: usize) -> f64 {
-        let supply = self.felt.supply[l] / self.units[l].ampere;
-        self.lanes[l].as_ref().map_or(0.0, |e| e.source * supply)
+    /// Voltage that the source of lane `l` loses [V]: what it gives at the moment, or, where nothing levels that, in the mean
+    /// of an interval.
+    ///
+    /// * `mean` of the current that is drawn in the interval so far [A], NaN before its first step
+    pub fn sag(&self, l: usize, mean: f64) -> f64 {
+        let now = self.felt.supply[l] / self.units[l].ampere;
+        let of = |e: &Injection| e.source * if e.bare && !mean.is_nan() { mean } else { now };
+        self.lanes[l].as_ref().map_or(0.0, of)
     }
 
     /// Delays the current references.

@@ -34,6 +34,26 @@ pub enum Note {
     Number(f64),
 }
 
+/// What the voltage of a source with a resistance goes by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Draw {
+    /// the current that the bridge draws and gives back, levelled by the link's capacitor
+    #[default]
+    Power,
+    /// the size of the current of the legs that are switched up, at every moment: nothing levels it, and nothing comes back
+    Legs,
+}
+
+impl Draw {
+    /// In files and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Power => "power",
+            Self::Legs => "legs",
+        }
+    }
+}
+
 /// An effect with its parameters; SI units, motor side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effect {
@@ -53,6 +73,8 @@ pub struct Effect {
     /// of `current_offset` in an actuator of three phases: the one whose sensor has it (0, 1, 2). `None`: nobody says, and
     /// the equivalent current has it, in the phases that conduct, by their signs
     pub sensor: Option<usize>,
+    /// of `supply_sag`: what the source's voltage goes by
+    pub draw: Draw,
     /// fingerprint of the actuator to which the effect was added
     pub parent: Option<String>,
     /// how it was identified: data, runs, score, runner-up ...; keys in the order of the alphabet
@@ -72,6 +94,7 @@ impl Effect {
             source: "assumed".into(),
             grows: 0.0,
             sensor: None,
+            draw: Draw::Power,
             parent: None,
             provenance: Vec::new(),
         }

@@ -114,6 +114,33 @@ fn parse(more: &str) -> schemas::error::Result<ActuatorParameters> {
 }
 
 #[test]
+fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
+    let power = visible(EffectKind::SupplySag);
+    let legs = Effect {
+        draw: Draw::Legs,
+        ..power.clone()
+    };
+    assert!(!power.to_toml().contains("draw"), "files of before stay as they are");
+    assert_eq!(parse(&legs.to_toml()).unwrap().effects, [legs.clone()]);
+    let said = format!("{}draw = \"power\"\n", power.to_toml());
+    assert_eq!(parse(&said).unwrap().effects, [power.clone()]);
+    for (of, wrong, allowed) in [
+        (&power, "both", "power or legs"),
+        (&visible(EffectKind::DeadTime), "legs", "in no source"),
+    ] {
+        let error = parse(&format!("{}draw = \"{wrong}\"\n", of.to_toml()))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains(wrong) && error.contains(allowed), "{error}");
+    }
+    // another law is another actuator, in the files' key and in what the bench does
+    let [power, legs] = [power, legs].map(|e| with(&[e]));
+    assert_ne!(power.fingerprint(), legs.fingerprint());
+    let told = |p: &Arc<ActuatorParameters>| bits::<1>(&[lane(p, 1.0)], 3000, InstructionSet::detect());
+    assert!(told(&power) != told(&legs));
+}
+
+#[test]
 fn prop_every_kind_reads_back_as_it_was_written() {
     for &kind in EffectKind::ALL {
         let mut e = visible(kind);

@@ -206,15 +206,16 @@ fn prop_voltages_are_the_equations_of_the_recorded_signals() {
     use EffectKind::*;
     // full speed and a stop
     let com: Vec<f64> = (0..60_000).map(|k| if k < 40_000 { 0.05 } else { 0.04 }).collect();
-    for (kind, tolerance) in [
-        (WindingHeating, 1e-6),
-        (DeadTime, 0.1),
-        (SupplySag, 0.15),
-        (TurnShort, 0.15),
-        (TorqueRipple, 0.1),
-        (Eccentricity, 0.1),
+    for (kind, draw, tolerance) in [
+        (WindingHeating, Draw::Power, 1e-6),
+        (DeadTime, Draw::Power, 0.1),
+        (SupplySag, Draw::Power, 0.15),
+        (SupplySag, Draw::Legs, 0.15),
+        (TurnShort, Draw::Power, 0.15),
+        (TorqueRipple, Draw::Power, 0.1),
+        (Eccentricity, Draw::Power, 0.1),
     ] {
-        let e = visible(kind);
+        let e = Effect { draw, ..visible(kind) };
         let p = with(std::slice::from_ref(&e));
         let c = Constants::of(&p, 1.0);
         let r = record(&p, &com);

@@ -124,9 +124,13 @@ impl MonitorModel {
         if let Some(b) = &mut e.bristles {
             b.step(w, dt);
         }
-        // what the source gave
+        // what the source gave: by the share of the time that the legs push, or all the time by the size
         let v = x.impedance * i - x.l_dt * x.i + emf;
-        x.supply = if volts > 0.0 { v / volts * i } else { 0.0 };
+        x.supply = match (volts > 0.0, e.bare) {
+            (false, _) => 0.0,
+            (true, false) => v / volts * i,
+            (true, true) => i.abs(),
+        };
         x.rate = (i - x.i) / dt;
         x.i = i;
         self.i = gain * i + offset;

@@ -286,6 +286,7 @@ mod tests {
                 runner_up: None,
                 ambiguous_with: vec!["compliance".into()],
                 sensor: None,
+                draw: Default::default(),
                 alias: None,
                 channel: "user_position".into(),
                 heldout: None,

@@ -6,7 +6,7 @@ use crate::candidates::phases::of_phases;
 use crate::equations::pieces::{Column, Piece, RigConstants, wide};
 use crate::equations::samples::{rate_of, sharpened, shifted};
 use crate::equations::signals::{SUPPLY, Signals};
-use sim_worker::effect::{self, Effect, EffectKind, Equation};
+use sim_worker::effect::{self, Draw, Effect, EffectKind, Equation};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
@@ -502,7 +502,9 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Amplitude if e.kind == EffectKind::CurrentGain => (vec![], vec![v[0] / (1.0 + v[0])]),
         Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
-        Form::Amplitude if e.kind == EffectKind::SupplySag => (vec![2.0], vec![v[0]]),
+        Form::Amplitude if e.kind == EffectKind::SupplySag => {
+            (vec![if e.draw == Draw::Legs { 1.0 } else { 2.0 }], vec![v[0]])
+        }
         Form::Amplitude if e.kind == EffectKind::DeadTime => (vec![0.05], vec![v[0]]),
         Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
         Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {

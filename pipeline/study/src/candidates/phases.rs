@@ -2,7 +2,7 @@
 
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::{Phases, SUPPLY, Signals};
-use sim_worker::effect::{self, EffectKind, Equation};
+use sim_worker::effect::{self, Draw, EffectKind, Equation};
 use std::f64::consts::TAU;
 
 /// What the phases make of an effect that changes their constants: amplitudes' columns of torque and phase voltages.
@@ -38,6 +38,14 @@ fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) 
         phase: None,
     });
     column
+}
+
+/// What a source's voltage goes by, from the shape of its term: 1 by the size of the legs' current, else by power.
+pub fn draw(shape: &[f64]) -> Draw {
+    match shape.first() {
+        Some(s) if (0.5..1.5).contains(s) => Draw::Legs,
+        _ => Draw::Power,
+    }
 }
 
 /// As [`super::columns::contribution`], of effects that the phases tell apart; `None` for all others.
@@ -87,19 +95,28 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             vec![column]
         }
         EffectKind::DeadTime if p.voltage.is_some() => {
-            // half of it in each of the two legs that conduct; what the ripple of the current leaves of its sign in the
-            // mean over a sample, and the noise of the sensor of a current near nothing
+            // Half of it in each leg, for the part of a sample in which the leg conducts: what is recorded of the
+            // current of a leg that does not is the noise of its sensor. What two legs carry is the same current,
+            // so its size is taken from all three sensors, and its sign from the leg's.
             let width = shape.first().copied().unwrap_or(0.05);
-            vec![voltages(&|q, k| {
-                let x = (p.current[q][k] / width).powi(4);
-                0.5 * p.current[q][k].signum() * x / (1.0 + x)
-            })]
+            let share: [Vec<f64>; 3] = std::array::from_fn(|q| {
+                let on = |theta: f64| effect::conducting(theta, c.effect.pole_pairs)[q];
+                (0..s.n).map(|k| p.mean(s, k, on)).collect()
+            });
+            // whichever way the drive pushes: the current along the signs of the legs that conduct
+            let along = |k: usize| {
+                0.5 * (0..3)
+                    .map(|q| share[q][k].signum() * p.current[q][k] * f64::from(u8::from(share[q][k] != 0.0)))
+                    .sum::<f64>()
+            };
+            let drop: Vec<f64> = (0..s.n).map(|k| 0.5 * (along(k) / width).tanh()).collect();
+            vec![voltages(&|q, k| share[q][k] * drop[k])]
         }
         EffectKind::SupplySag if p.supply.is_some() && p.voltage.is_some() => {
             let (v, dc) = (p.voltage.as_ref()?, p.supply.as_ref()?);
             // what a link with a capacitor draws by its power, or what the legs carry where nothing levels it
             let draw = |k: usize| {
-                if shape.first().is_some_and(|s| *s > 0.5) {
+                if draw(shape) == Draw::Legs {
                     return p.size(k);
                 }
                 (0..3).map(|q| v[q][k] * p.current[q][k]).sum::<f64>() / dc[k].max(1.0)

@@ -210,6 +210,11 @@ impl Phases {
         }
     }
 
+    /// Mean over a sample of a function of the angle.
+    pub fn mean(&self, s: &Signals, k: usize, f: impl Fn(f64) -> f64) -> f64 {
+        along(self.way(s, k), f)
+    }
+
     /// Size of the current that two phases carry, whatever its sign [A].
     pub fn size(&self, k: usize) -> f64 {
         0.5 * (0..3).map(|q| self.current[q][k].abs()).sum::<f64>()

@@ -1,6 +1,6 @@
 //! Weighted least squares with priors: a model with given shapes, solved, crossed and predicted.
 
-use crate::candidates::columns;
+use crate::candidates::{columns, phases};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
@@ -475,7 +475,11 @@ pub fn without_local(p: &Problem, r: Vec<f64>, sigma: &[f64; 5]) -> Vec<f64> {
 
 /// The effect of a term, in its canonical parameters.
 pub fn effect_of(t: &Term, c: &RigConstants, p: &Problem) -> Effect {
-    columns::effect(t.kind, &t.shape, &t.amplitudes, c.effect.coulomb, hottest(p))
+    let mut e = columns::effect(t.kind, &t.shape, &t.amplitudes, c.effect.coulomb, hottest(p));
+    if t.kind == EffectKind::SupplySag && p.signals.iter().all(|s| s.phases.is_some()) {
+        e.draw = phases::draw(&t.shape);
+    }
+    e
 }
 
 /// Greatest measured rise over 20 degC [K].

@@ -52,6 +52,8 @@ pub struct Outcome {
     pub proofs: Vec<Proof>,
     /// effects that were found beside the equations
     pub beside: Vec<Beside>,
+    /// resistance of a source that nothing levels, by the simulated loop, and its standard deviation [ohm]
+    pub source: Option<(f64, f64)>,
     /// nuisance parameters around the model's own constants
     pub first_nuisances: Vec<Nuisance>,
     /// held-out energies by equation: nominal, re-tuned, with the effects
@@ -253,6 +255,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         ambiguous,
         proofs,
         beside,
+        source: None,
     }
 }
 

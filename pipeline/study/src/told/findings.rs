@@ -2,7 +2,7 @@
 
 use crate::told::verify::Verification;
 use serde_json::{Map, Value, json};
-use sim_worker::effect::PHASES;
+use sim_worker::effect::{Draw, EffectKind, PHASES};
 
 /// An identified number.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +44,8 @@ pub struct FoundEffect {
     pub alias: Option<String>,
     /// phase whose sensor has it, of an offset (0, 1, 2)
     pub sensor: Option<usize>,
+    /// what a source with a resistance goes by
+    pub draw: Draw,
     /// channel in which the effect lives
     pub channel: String,
     /// gap of that channel on held-out data without it and with it; `None` where nothing was held out
@@ -257,6 +259,7 @@ impl Findings {
                     "ambiguous_with": e.ambiguous_with,
                     "alias": e.alias,
                     "sensor": e.sensor.map(|q| PHASES[q]),
+                    "draw": (e.name == EffectKind::SupplySag.name()).then(|| e.draw.name()),
                     "channel": e.channel,
                     "heldout_before": e.heldout.map(|h| h.0),
                     "heldout_after": e.heldout.map(|h| h.1),

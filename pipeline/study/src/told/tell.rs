@@ -12,7 +12,7 @@ use crate::search::study::Outcome;
 use crate::search::verdict::{Verdict, shares};
 use crate::told::findings::*;
 use crate::told::places;
-use sim_worker::effect::{EffectKind, Equation};
+use sim_worker::effect::{Draw, EffectKind, Equation, NORMAL_95};
 
 /// The channel that an equation predicts.
 pub(super) fn channel(m: &Material, e: Equation) -> (&'static str, &'static str) {
@@ -190,8 +190,11 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                 .enumerate()
                 .map(|(k, (key, v))| {
                     let s = if k == 0 { factor } else { 1.0 };
-                    let half = i.terms[t][k] * s;
-                    let v = v * s;
+                    let (mut v, mut half) = (v * s, i.terms[t][k] * s);
+                    // the simulated loop knows how much of the time the legs draw
+                    if let Some((by_loop, sd)) = o.source.filter(|_| term.kind == EffectKind::SupplySag) {
+                        (v, half) = (by_loop, (half * by_loop / v).hypot(NORMAL_95 * sd));
+                    }
                     Identified {
                         name: key.name.to_string(),
                         value: v,
@@ -231,6 +234,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     (c * p.1, c * p.2)
                 }),
                 sensor: None,
+                draw: e.draw,
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
         })
@@ -259,6 +263,7 @@ fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
         ambiguous_with: b.ambiguous.iter().map(|k| k.name().to_string()).collect(),
         alias: None,
         sensor: b.sensor,
+        draw: Draw::Power,
         channel: b.seen_in.to_string(),
         heldout: m.held.is_some().then_some((b.before, b.after)),
     }
