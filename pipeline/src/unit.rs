@@ -379,8 +379,8 @@ pub fn begin(file: &Path, with: Beginning) -> Result<UnitFile> {
 /// Refuses a study of another machine than the one that was named: what no study changes is the same in both.
 fn same_machine(file: &Path, studied: &ActuatorParameters, named: Option<&ActuatorParameters>) -> Result<()> {
     let Some(named) = named else { return Ok(()) };
-    let fixed = |a: &ActuatorParameters| [f64::from(a.pole_pairs), a.gear_ratio, a.supply_voltage_v];
-    for (place, (found, allowed)) in ["pole pairs", "gear ratio", "supply voltage [V]"]
+    let fixed = |a: &ActuatorParameters| [f64::from(a.pole_pairs), a.gear_ratio];
+    for (place, (found, allowed)) in ["pole pairs", "gear ratio"]
         .into_iter()
         .zip(fixed(studied).into_iter().zip(fixed(named)))
     {

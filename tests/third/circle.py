@@ -75,6 +75,8 @@ def main():
         files = lambda name: sorted(glob.glob(os.path.join(folder, name)), key=lambda f: int(f.rsplit("_", 1)[1][:-4]))
         with open(os.path.join(folder, "truth.json")) as f:
             truth = json.load(f)
+        effect = truth.get("effect")
+        truth.setdefault("hidden", effect.get("name") if isinstance(effect, dict) else effect)
         report, _ = run(a.ema, cache, "discrepancy", "--bench", *files("healthy_long_*.csv"), "--healthy", "--out", study, "--json")
         names = "+".join(e["name"] for e in report.get("effects", []))
         if os.path.exists(unit):

@@ -193,6 +193,8 @@ pub struct Rig {
     /// step of the test bench whose constants are looked for [s]; 0 without one
     pub step_s: f64,
     pub supply_voltage: f64,
+    /// what the actuator's file has for it and the standard deviation, where the supply was measured to be another [V]
+    pub supply_of_file: Option<(f64, f64)>,
     /// half-width of the known play, at the motor [rad]
     pub play: f64,
     pub controller: Option<ControllerLaw>,
@@ -655,6 +657,7 @@ fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
         pole_pairs,
         step_s: actuator.map_or(0.0, |a| a.step_s),
         supply_voltage,
+        supply_of_file: None,
         play: actuator.map_or(0.0, |a| a.backlash_half_width_rad * a.gear_ratio),
         controller,
         encoder: (0.0, 0.0),

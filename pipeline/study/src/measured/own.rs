@@ -223,12 +223,15 @@ fn follows(t: &Table) -> bool {
     let (Ok(u), Ok(m)) = (t.numbers("theta_u"), t.numbers("theta_m")) else {
         return false;
     };
+    // a rotor rests at any angle
+    let middle = |x: &[f64]| x.iter().sum::<f64>() / x.len().max(1) as f64;
+    let (u0, m0) = (middle(u), middle(m));
     let (mut um, mut mm, mut uu) = (0.0, 0.0, 0.0);
-    for (u, m) in u.iter().zip(m) {
+    for (u, m) in u.iter().map(|u| u - u0).zip(m.iter().map(|m| m - m0)) {
         (um, mm, uu) = (um + u * m, mm + m * m, uu + u * u);
     }
     let ratio = um / mm;
-    let left: f64 = u.iter().zip(m).map(|(u, m)| (u - ratio * m).powi(2)).sum();
+    let left: f64 = u.iter().zip(m).map(|(u, m)| (u - u0 - ratio * (m - m0)).powi(2)).sum();
     left < 1e-12 * uu
 }
 

@@ -187,7 +187,8 @@ pub fn conclude(
         if remainder > most && over || beyond {
             return (Verdict::Unknown, 0.0, remainder);
         }
-        let worse = (0..5).any(|e| nominal.score.energy[e] > 1.1 * retuned.score.energy[e]);
+        let worse = (0..5).any(|e| nominal.score.energy[e] > 1.1 * retuned.score.energy[e])
+            || m.bench.rig.supply_of_file.is_some();
         let verdict = if worse { Verdict::Retune } else { Verdict::None };
         return (verdict, 0.0, remainder);
     }

@@ -42,6 +42,7 @@ pub fn replaced(retuned: &[Identified], a: &ActuatorParameters, with_current: bo
             "torque_constant" if with_current => ("motor", "back_emf_v_s_per_rad", "V s/rad", 0.5 * r.value),
             "resistance" => ("motor", "phase_resistance_ohm", "ohm", 0.5 * r.value),
             "inductance" => ("motor", "phase_inductance_h", "H", 0.5 * r.value),
+            "supply_voltage" => ("supply", "voltage_v", "V", r.value),
             "play" => (
                 "transmission",
                 "backlash_half_width_rad",
@@ -68,12 +69,15 @@ pub fn replaced(retuned: &[Identified], a: &ActuatorParameters, with_current: bo
     out
 }
 
-/// How well the constants of a file are known.
+/// How well the constants of a file are known, but for the supply: it is measured, and what a sensor's scale does to it, it does to
+/// the constants that follow from voltages.
 ///
 /// * `correlation` of all constants that were identified, row by row
 pub fn uncertainty(constants: &[Replaced], correlation: &[f64]) -> Uncertainty {
     let n = (correlation.len() as f64).sqrt() as usize;
     let of = |a: usize, b: usize| correlation.get(a * n + b).copied().unwrap_or(f64::from(a == b));
+    let constants: Vec<&Replaced> = constants.iter().filter(|c| c.section != "supply").collect();
+    let constants = &constants;
     Uncertainty {
         parameters: constants.iter().map(|c| format!("{}.{}", c.section, c.key)).collect(),
         deviation: constants.iter().map(|c| c.deviation).collect(),

@@ -125,6 +125,18 @@ fn constants(o: &Outcome, i: &Intervals) -> Vec<Identified> {
             nominal: Some(n0.nominal),
         });
     }
+    // after all that stand in the correlations
+    if let Some((nominal, sd)) = m.bench.rig.supply_of_file {
+        let (value, half) = (m.bench.rig.supply_voltage, NORMAL_95 * sd);
+        out.push(Identified {
+            name: "supply_voltage".into(),
+            value,
+            lo: value - half,
+            hi: value + half,
+            unit: "V".into(),
+            nominal: Some(nominal),
+        });
+    }
     out
 }
 
@@ -134,9 +146,13 @@ fn correlation(o: &Outcome, i: &Intervals) -> Vec<f64> {
     let told: Vec<usize> = (0..all.len())
         .filter(|k| all[*k].of_machine && all[*k].nominal != 0.0)
         .collect();
-    told.iter()
-        .flat_map(|a| told.iter().map(move |b| i.correlation[a * all.len() + b]))
-        .collect()
+    let alone = usize::from(o.material.bench.rig.supply_of_file.is_some());
+    let n = told.len() + alone;
+    let of = |a: usize, b: usize| match (told.get(a), told.get(b)) {
+        (Some(a), Some(b)) => i.correlation[a * all.len() + b],
+        _ => f64::from(u8::from(a == b)),
+    };
+    (0..n * n).map(|k| of(k / n, k % n)).collect()
 }
 
 fn term_text(kind: EffectKind) -> &'static str {
