@@ -193,6 +193,8 @@ lane_struct!(
         vb,
         /// voltage of phase 2 against the star point
         vc,
+        /// measured current of the third phase, with effects
+        ic,
         /// supply current of the bridge
         supply,
         /// motor torque (Eq. 7)
@@ -375,6 +377,8 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 windings::step([ia, ib], v, ke, st.turn[l], k.decay[at::<SAME>(l)])
             };
             (st.ia[l], st.ib[l]) = (i[0], i[1]);
+            // measured current of the third phase
+            let mut last = 0.0;
             if F & term::EFFECTS != 0 {
                 let supply = inverter::supply_current(h, [i[0], i[1], -(i[0] + i[1])]);
                 let supply = pick(fx.felt.bare[l], supply.abs(), supply);
@@ -383,17 +387,16 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 fx.felt.supply[l] = pick(level.abs() < GONE, 0.0, level);
                 // from here on the measured currents
                 let felt = &fx.felt;
-                let measured = |i: f64, fold: f64, own: f64| {
-                    felt.gain[l] * i + commutation::phase_reference::<ONE>(fold, felt.offset[l]) + own
+                let measured = |i: f64, fold: f64, q: usize| {
+                    felt.gain[q][l] * i + commutation::phase_reference::<ONE>(fold, felt.offset[l]) + felt.sensor[q][l]
                 };
-                i = [
-                    measured(i[0], on.f0[l], felt.sensor[0][l]),
-                    measured(i[1], on.f1[l], felt.sensor[1][l]),
-                ];
+                last = measured(-(i[0] + i[1]), on.f2[l], 2);
+                i = [measured(i[0], on.f0[l], 0), measured(i[1], on.f1[l], 1)];
             }
             let mut minus_ic = i[0] + i[1];
             if F & term::EFFECTS != 0 {
-                minus_ic -= fx.felt.sensors[l];
+                minus_ic = pick(fx.felt.uneven[l], -last, minus_ic - fx.felt.sensors[l]);
+                sum.ic[l] -= minus_ic;
             }
             (st.ma[l], st.mb[l], st.mc[l]) = (h[0] - i[0], h[1] - i[1], h[2] + minus_ic);
             sum.ia[l] += i[0];

@@ -211,6 +211,9 @@ impl<const N: usize> NumericalTestBench<N> {
             Channel::IA => mean(&sum.ia, &u.ampere),
             Channel::IB => mean(&sum.ib, &u.ampere),
             Channel::IC => std::array::from_fn(|l| {
+                if self.effects.felt.uneven[l] {
+                    return sum.ic[l] * (u.ampere[l] * per_step);
+                }
                 let offsets = self.effects.felt.sensors[l] * self.interval as f64;
                 -(sum.ia[l] + sum.ib[l] - offsets) * (u.ampere[l] * per_step)
             }),

@@ -204,7 +204,7 @@ impl Effect {
             | EffectKind::TurnShort
             | EffectKind::CommutationOffset => self.shared(s, c, self.constant_share(s, c)).0,
             EffectKind::CurrentOffset => self.current_offset(s, c) * c.torque_constant,
-            EffectKind::CurrentGain => c.torque_constant * s.current * a / (1.0 + a),
+            EffectKind::CurrentGain => c.torque_constant * self.current_gain(s, c),
             _ => self.friction(s, c) * s.sign,
         }
     }
@@ -217,6 +217,16 @@ impl Effect {
         self.sensor.map_or(a, |q| a * of(q))
     }
 
+    /// What a gain of current sensors adds to the measured current that gives torque [A]; that of one phase of three counts
+    /// where the phase conducts, by its shape.
+    fn current_gain(&self, s: &Signals, c: &Constants) -> f64 {
+        let part = s.current * self.values[0] / (1.0 + self.values[0]);
+        self.sensor.map_or(part, |q| {
+            let on = conducting(s.theta, c.pole_pairs)[q];
+            0.5 * part * on * shape(c.pole_pairs * s.theta - TAU / 3.0 * q as f64)
+        })
+    }
+
     /// Voltage that the source must give in addition [V].
     pub fn voltage(&self, s: &Signals, c: &Constants) -> f64 {
         let a = self.values[0];
@@ -226,7 +236,7 @@ impl Effect {
             EffectKind::SupplySag => a * s.duty * s.duty * s.current,
             EffectKind::DeadTime => 2.0 * self.leg_drop(s.current),
             EffectKind::CurrentOffset => -self.current_offset(s, c) * c.resistance,
-            EffectKind::CurrentGain => -c.resistance * s.current * a / (1.0 + a),
+            EffectKind::CurrentGain => -c.resistance * self.current_gain(s, c),
             EffectKind::TurnShort
             | EffectKind::TorqueRipple
             | EffectKind::Eccentricity

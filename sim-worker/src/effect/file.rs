@@ -79,14 +79,14 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
             )?;
         }
         if t.may_have("sensor") {
-            let offset = kind == EffectKind::CurrentOffset;
-            let allowed = if offset {
+            let of_sensor = matches!(kind, EffectKind::CurrentOffset | EffectKind::CurrentGain);
+            let allowed = if of_sensor {
                 "a, b or c"
             } else {
                 "nothing: it is in no sensor of a phase"
             };
             let name = t.text("sensor", allowed)?;
-            let place = PHASES.iter().position(|p| *p == name).filter(|_| offset);
+            let place = PHASES.iter().position(|p| *p == name).filter(|_| of_sensor);
             e.sensor = Some(place.ok_or_else(|| t.bad("sensor", &name, allowed))?);
         }
         if t.may_have("draw") {

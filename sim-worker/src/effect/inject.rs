@@ -33,6 +33,8 @@ pub struct Injection {
     pub bare: bool,
     /// gain of the measured current `gain i + offset`
     pub gain: f64,
+    /// gain of each phase's sensor
+    pub gains: [f64; 3],
     /// offset of the measured current, in the phases that conduct, by their signs [A]
     pub offset: f64,
     /// offset of each phase's sensor [A]: the relays of the other two hold the current, so that the motor hardly feels that of
@@ -82,6 +84,7 @@ impl Injection {
             source: 0.0,
             bare: false,
             gain: 1.0,
+            gains: [1.0; 3],
             offset: 0.0,
             sensors: [0.0; 3],
             delay: None,
@@ -128,7 +131,17 @@ impl Injection {
                     Some(q) => all.sensors[q] += a,
                     None => all.offset += a,
                 },
-                EffectKind::CurrentGain => all.gain *= 1.0 + a,
+                EffectKind::CurrentGain => match e.sensor {
+                    Some(q) => {
+                        all.gains[q] *= 1.0 + a;
+                        // the relay that sees the greatest current holds it, in two sixths of a turn of three
+                        all.gain *= 1.0 + 2.0 / 3.0 * a.max(0.0);
+                    }
+                    None => {
+                        all.gains = all.gains.map(|g| g * (1.0 + a));
+                        all.gain *= 1.0 + a;
+                    }
+                },
                 EffectKind::ControlDelay => all.delay = Some(DelayLine::new(a, dt)),
             }
         }
@@ -236,7 +249,9 @@ pub struct Felt<const N: usize> {
     /// the supply current counts by its size
     pub bare: [bool; N],
     /// gain of the measured current
-    pub gain: [f64; N],
+    pub gain: [[f64; N]; 3],
+    /// whether the three gains differ, so that the measured currents do not add up to the offsets
+    pub uneven: [bool; N],
     /// offset of the measured current, in the phases that conduct
     pub offset: [f64; N],
     /// offset of each phase's sensor
@@ -319,7 +334,8 @@ impl<const N: usize> Default for LaneEffects<N> {
                 supply: [0.0; N],
                 bus: [0.0; N],
                 bare: [false; N],
-                gain: [ONE; N],
+                gain: [[ONE; N]; 3],
+                uneven: [false; N],
                 offset: [0.0; N],
                 sensor: [[0.0; N]; 3],
                 sensors: [0.0; N],
@@ -376,7 +392,8 @@ impl<const N: usize> LaneEffects<N> {
             if e.bare {
                 (felt.bus[l], felt.bare[l]) = (1.0, true);
             }
-            felt.gain[l] = e.gain;
+            (0..3).for_each(|q| felt.gain[q][l] = e.gains[q]);
+            felt.uneven[l] = e.gains != [e.gains[0]; 3];
             felt.offset[l] = e.offset * u.ampere;
             (0..3).for_each(|q| felt.sensor[q][l] = e.sensors[q] * u.ampere);
             felt.sensors[l] = e.sensors.iter().sum::<f64>() * u.ampere;

@@ -70,7 +70,7 @@ pub struct Effect {
     /// share of the amplitude that grows with the friction fault: times `1 + grows (FSJ - 1)`. 0 but for levels of
     /// friction ([`EffectKind::is_friction`]), of which nobody knows without a worn unit
     pub grows: f64,
-    /// of `current_offset` in an actuator of three phases: the one whose sensor has it (0, 1, 2). `None`: nobody says, and
+    /// of `current_offset` and `current_gain` in an actuator of three phases: the one whose sensor has it (0, 1, 2). `None`: nobody says, and
     /// the equivalent current has it, in the phases that conduct, by their signs
     pub sensor: Option<usize>,
     /// of `supply_sag`: what the source's voltage goes by

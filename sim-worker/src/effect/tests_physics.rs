@@ -193,6 +193,39 @@ fn prop_an_offset_of_one_sensor_is_what_the_phases_add_up_to_and_hardly_felt() {
 }
 
 #[test]
+fn prop_a_gain_of_one_sensor_is_what_the_phases_add_up_to() {
+    // a current that lasts: full speed and a stop
+    let com: Vec<f64> = (0..30_000).map(|k| if k < 20_000 { 0.05 } else { 0.04 }).collect();
+    let plain = record(&with(&[]), &com);
+    for q in 0..3 {
+        for gain in [0.1, -0.1] {
+            let e = Effect {
+                sensor: Some(q),
+                ..Effect::new(EffectKind::CurrentGain, &[gain])
+            };
+            let r = record(&with(&[e]), &com);
+            for k in 0..com.len() {
+                let true_current = r.i[q][k] / (1.0 + gain);
+                let others = r.i[(q + 1) % 3][k] + r.i[(q + 2) % 3][k];
+                assert!((true_current + others).abs() < 1e-9, "{q} {gain} at {k}");
+            }
+            // the relays act on what they see, so the motion is another, and not by much
+            assert!(r.omega != plain.omega);
+            assert!(difference(&r.omega, &plain.omega) < 0.1 * rms(&plain.omega));
+        }
+    }
+    // all three alike are what a gain of all is
+    let each: Vec<Effect> = (0..3)
+        .map(|q| Effect {
+            sensor: Some(q),
+            ..Effect::new(EffectKind::CurrentGain, &[0.1])
+        })
+        .collect();
+    let [one, all] = [each, vec![Effect::new(EffectKind::CurrentGain, &[0.1])]].map(|e| record(&with(&e), &com));
+    assert!(one.omega == all.omega && one.i == all.i);
+}
+
+#[test]
 fn prop_the_flux_is_what_the_shape_is_the_slope_of() {
     for k in 0..1000 {
         let (x, step) = (-7.0 + 0.014 * f64::from(k), 1e-6);

@@ -499,7 +499,10 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
 pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
     let v = &e.values[..e.kind.keys().len()];
     match form(e.kind) {
-        Form::Amplitude if e.kind == EffectKind::CurrentGain => (vec![], vec![v[0] / (1.0 + v[0])]),
+        Form::Amplitude if e.kind == EffectKind::CurrentGain => {
+            let of = e.sensor.map(|q| q as f64);
+            (of.into_iter().collect(), vec![v[0] / (1.0 + v[0])])
+        }
         Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
         Form::Amplitude if e.kind == EffectKind::SupplySag => {

@@ -150,7 +150,29 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             }
             vec![column]
         }
-        // all constants together stand for a gain, which is judged by what is believed of them
+        // linear in g/(1+g)
+        EffectKind::CurrentGain if !shape.is_empty() => {
+            let q = shape[0] as usize;
+            let along = p.mean_over_support(s, q, |_, trap| ke * trap);
+            let mut column: Column = vec![Piece {
+                equation: Equation::Torque,
+                order: 0,
+                signal: (0..s.n).map(|k| along[k] * p.current[q][k]).collect(),
+                phase: None,
+            }];
+            if p.voltage.is_some() {
+                for (order, factor) in [(0, -r), (1, -l)] {
+                    column.push(Piece {
+                        equation: Equation::Electrical,
+                        order,
+                        signal: p.current[q].iter().map(|i| factor * i).collect(),
+                        phase: Some(q),
+                    });
+                }
+            }
+            vec![column]
+        }
+        // all constants together stand for a gain of all, which is judged by what is believed of them
         EffectKind::SupplySag | EffectKind::DeadTime | EffectKind::WindingHeating | EffectKind::CurrentGain => {
             Vec::new()
         }

@@ -118,6 +118,8 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         }
         EffectKind::CurrentOffset if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0, 2.0]),
         EffectKind::CurrentOffset => one(vec![0.0]),
+        // of all three at once it is all constants together
+        EffectKind::CurrentGain if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0, 2.0]),
         EffectKind::WindingHeating if runs.iter().all(|r| r.temperature.is_some()) => one(vec![0.0]),
         EffectKind::WindingHeating if runs.iter().all(|r| r.phases.is_some()) => one(vec![1.0]),
         EffectKind::WindingHeating => {
@@ -242,7 +244,7 @@ fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
         EffectKind::CommutationOffset => &[LIN, None],
         EffectKind::Compliance => &[LOG, LOG, LOG],
-        EffectKind::TurnShort | EffectKind::CurrentOffset | EffectKind::SupplySag => &[None],
+        EffectKind::TurnShort | EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::SupplySag => &[None],
         EffectKind::WindingHeating => &[None, LOG],
         EffectKind::DeadTime => &[LOG],
         _ => &[],
@@ -267,9 +269,11 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
         EffectKind::WindingHeating => vec![(0.0, 2.0), (0.02, 1e3)],
-        EffectKind::TurnShort | EffectKind::CurrentOffset | EffectKind::EncoderEccentricity | EffectKind::SupplySag => {
-            vec![(0.0, 2.0)]
-        }
+        EffectKind::TurnShort
+        | EffectKind::CurrentOffset
+        | EffectKind::CurrentGain
+        | EffectKind::EncoderEccentricity
+        | EffectKind::SupplySag => vec![(0.0, 2.0)],
         EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => vec![(0.005, 0.5)],
         EffectKind::DeadTime => {
             let most = runs.iter().flat_map(|r| &r.drive).fold(0.0, |a: f64, x| a.max(x.abs()));

@@ -479,6 +479,9 @@ pub fn effect_of(t: &Term, c: &RigConstants, p: &Problem) -> Effect {
     if t.kind == EffectKind::SupplySag && p.signals.iter().all(|s| s.phases.is_some()) {
         e.draw = phases::draw(&t.shape);
     }
+    if t.kind == EffectKind::CurrentGain {
+        e.sensor = t.shape.first().map(|q| *q as usize);
+    }
     e
 }
 

@@ -272,7 +272,7 @@ fn echoed(m: &Material, model: &Fit, next: &Fit) -> bool {
 /// Whether a gain of the current is new that leaves the voltage as it was: without a load that is measured it is nothing in the
 /// torque but another inertia and another friction.
 fn unshown(m: &Material, model: &Fit, next: &Fit) -> bool {
-    let gain = |t: &Term| t.kind == EffectKind::CurrentGain;
+    let gain = |t: &Term| t.kind == EffectKind::CurrentGain && t.shape.is_empty();
     let new = &next.terms[model.terms.len()..];
     let e = Equation::Electrical.index();
     let excess = model.score.energy[e] - m.fit.sensor_energy(e);

@@ -339,7 +339,7 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
         // all constants together stand for a gain: their beliefs decide, where no load is measured
-        let gain = e.kind == EffectKind::CurrentGain;
+        let gain = e.kind == EffectKind::CurrentGain && e.sensor.is_none();
         let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
         let needed = || !gain && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
         linear && intervals.terms[t][0] > most * e.values[0].abs() && !needed()
@@ -347,10 +347,12 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
 }
 
 /// What is met more often comes first where the data cannot tell, in log-likelihood (assumed).
-fn usual(kind: EffectKind) -> f64 {
-    match kind {
+fn usual(t: &Term) -> f64 {
+    match t.kind {
         EffectKind::Cogging | EffectKind::BiasTorque => 1.5,
         EffectKind::CurrentOffset | EffectKind::TurnShort => -1.5,
+        // of one phase
+        EffectKind::CurrentGain if !t.shape.is_empty() => -1.5,
         // all constants together stand for it
         EffectKind::CurrentGain => -30.0,
         _ => 0.0,
@@ -368,7 +370,7 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
         let mut terms: Vec<Term> = model.terms.clone();
         terms.push(r.term.clone());
         let fit = m.polish(&m.solve(&terms, model.sigma), 1);
-        let gain = penalised(m, &fit) - penalised(m, model) + usual(r.term.kind);
+        let gain = penalised(m, &fit) - penalised(m, model) + usual(&r.term);
         tried.push((fit, gain));
     }
     tried.sort_by(|a, b| b.1.total_cmp(&a.1));

@@ -42,7 +42,7 @@ pub struct FoundEffect {
     pub ambiguous_with: Vec<String>,
     /// another name of the same term
     pub alias: Option<String>,
-    /// phase whose sensor has it, of an offset (0, 1, 2)
+    /// phase whose sensor has it, of an offset or a gain (0, 1, 2)
     pub sensor: Option<usize>,
     /// what a source with a resistance goes by
     pub draw: Draw,

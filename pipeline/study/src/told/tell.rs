@@ -249,7 +249,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     let c = to_channel(m, m.seen_in(term.kind));
                     (c * p.1, c * p.2)
                 }),
-                sensor: None,
+                sensor: e.sensor,
                 draw: e.draw,
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
