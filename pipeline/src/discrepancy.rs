@@ -21,6 +21,9 @@ use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Gap of the simulated motion over that without what was found, from which on it is no model of the actuator (assumed).
+const FURTHER: f64 = 2.0;
+
 pub use ema_study::REFERENCE;
 
 /// What a study has written, and what it found.
@@ -221,6 +224,13 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                         .not_excited
                         .retain(|(n, _)| n != EffectKind::ControlDelay.name());
                 }
+                // what is to be missing brings the simulated actuator nearer to what was measured, or it is not that
+                let away = further_away(&verification);
+                if let Some(text) = away.filter(|_| outcome.verdict != Verdict::None) {
+                    outcome.verdict = Verdict::Unknown;
+                    findings = told(&outcome);
+                    findings.assumptions.push(text);
+                }
                 findings.verification = Some(verification);
             }
             new = Some(made);
@@ -287,6 +297,20 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         rig: written_rig,
         report,
     })
+}
+
+/// In words, where the test bench with what was found goes further away from the held-out recordings than it did without.
+fn further_away(v: &verify::Verification) -> Option<String> {
+    let motion = [BenchChannel::Velocity, BenchChannel::Current].map(BenchChannel::name);
+    let worst = v
+        .channels
+        .iter()
+        .filter(|c| v.heldout && motion.contains(&c.channel.as_str()) && c.child > FURTHER * c.parent)
+        .max_by(|a, b| (a.child / a.parent).total_cmp(&(b.child / b.parent)))?;
+    Some(format!(
+        "the test bench with what was found goes further away from the held-out recordings than without: {} off by {:.3e} {}, {:.3e} before",
+        worst.channel, worst.child, worst.unit, worst.parent
+    ))
 }
 
 /// Whether the simulated loop shows the controller's output to be late; nothing where effects are left that have no name.

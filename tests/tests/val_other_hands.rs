@@ -180,6 +180,45 @@ fn val_a_sensor_a_delay_and_a_play_of_another_hand_are_found_as_they_are() {
     }
 }
 
+/// In the family: the recordings are the test bench's own, at a rest angle, with another supply and a sensor whose scale is off;
+/// the user's angle is the motor's through the gear.
+#[test]
+fn val_a_gain_of_one_sensor_and_a_supply_are_found_from_any_rest_angle() {
+    let dir = tempfile::tempdir().unwrap();
+    let reference = include_str!("../../datasets/parameters/reference.toml");
+    let supply = "voltage_v = { value = 48.0";
+    assert!(reference.contains(supply));
+    let unit = dir.path().join("unit.toml");
+    let gain = "[[effect]]\nname = \"current_gain\"\ngain = 0.08\nsensor = \"b\"\nsource = \"assumed\"\n";
+    let text = format!("{}\n{gain}", reference.replace(supply, "voltage_v = { value = 47.7"));
+    std::fs::write(&unit, text).unwrap();
+    let mut bench = Vec::new();
+    for (n, sequence) in ["multisine", "chirp", "sine"].into_iter().enumerate() {
+        let file = dir.path().join(format!("healthy_{n}.csv"));
+        let mut args = vec!["run", "--sequence", sequence, "--rate", "2000", "--seed", "7"];
+        args.extend(["--sensors", "reference", "--rest-angle-deg", "200", "--channels", "all"]);
+        args.extend(["--actuator", unit.to_str().unwrap(), "--out", file.to_str().unwrap()]);
+        let o = run(&args);
+        assert!(o.status.success(), "{o:?}");
+        bench.push(file);
+    }
+    let request = Request {
+        bench,
+        healthy: true,
+        ..Request::default()
+    };
+    let found = study_file(&request, &|_| {}).unwrap();
+    let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!((found.verdict.as_str(), names), ("named", vec!["current_gain"]));
+    let (effect, gain) = (&found.effects[0], &found.effects[0].parameters[0]);
+    assert_eq!(effect.sensor, Some(1));
+    assert!(gain.lo < 0.08 && 0.08 < gain.hi && gain.hi - gain.lo < 0.01, "{gain:?}");
+    let constant = |name: &str| found.retuned.iter().find(|r| r.name == name);
+    let supply = constant("supply_voltage").expect("it is measured");
+    assert!(supply.lo < 47.7 && 47.7 < supply.hi, "{supply:?}");
+    assert!(constant("play").is_none(), "no second sensor shows one");
+}
+
 #[test]
 fn val_recordings_of_an_independent_program_get_their_names_and_no_others() {
     let dir = tempfile::tempdir().unwrap();

@@ -111,28 +111,33 @@ fn runs<'a>(m: &'a Material, p: &'a Problem, held: bool) -> Vec<(&'a Run, &'a Si
     m.runs.iter().filter(of).zip(&p.signals).collect()
 }
 
-/// What is found beside the equations: of an actuator of ours with phases, and what the constants of a rig say together.
+/// What is found beside the equations: of an actuator of ours with phases, and what the constants of a rig say together. And
+/// whether strong currents do what nothing of it explains: a load that comes loose, say, which only a sensor of its own shows.
 ///
 /// * `first` the nuisance parameters around the model's own constants
-pub fn beside(m: &Material, model: &Fit, first: &[Nuisance]) -> Vec<Beside> {
+pub fn beside(m: &Material, model: &Fit, first: &[Nuisance]) -> (Vec<Beside>, bool) {
     let apart = |b: &Beside| !model.terms.iter().any(|t| t.kind == b.kind);
     let phases = m.bench.has_phases();
     if !phases && m.equations.contains(&Equation::Electrical) {
-        return together(m, model, first).into_iter().filter(apart).collect();
+        return (together(m, model, first).into_iter().filter(apart).collect(), false);
     }
     if !(m.bench.own && phases) {
-        return Vec::new();
+        return (Vec::new(), false);
     }
     let find = runs(m, &m.fit, false);
     let prove = m.held.as_ref().map_or_else(|| find.clone(), |h| runs(m, h, true));
     let both = [&find[..], &prove[..]];
-    [commutation(m, both), offset(m, model, both), saturation(m, model, both)]
+    let strong = strong_currents(m, model, both);
+    let loss = strong.as_ref().and_then(saturation);
+    let stranger = loss.is_none() && strong.is_some_and(|s| s.rms.0.min(s.rms.1) > MOST_LEFT);
+    let all = [commutation(m, both), offset(m, model, both), loss]
         .into_iter()
         .flatten()
         .chain(together(m, model, first))
         // what the equations have told already is not told twice
         .filter(apart)
-        .collect()
+        .collect();
+    (all, stranger)
 }
 
 type Both<'a> = [&'a [(&'a Run, &'a Signals)]; 2];
@@ -364,9 +369,19 @@ fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64)
     (out, greatest)
 }
 
-/// Torque that strong currents do not give. No equation has these stretches, so they are shared out by themselves: every
-/// third of them proves what the others find.
-fn saturation(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> {
+/// What strong currents do against what the flux makes of them.
+struct Strong {
+    /// loss of torque a unit of current [1/A] and its standard deviation
+    loss: (f64, f64),
+    /// greatest current [A]
+    greatest: f64,
+    /// root mean square of the impulses over their uncertainty, without the loss and with it
+    rms: (f64, f64),
+}
+
+/// No equation has the stretches of strong currents, so they are shared out by themselves: every third of them proves what the
+/// others find. Only where the equations found nothing.
+fn strong_currents(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Strong> {
     if !model.terms.is_empty() || m.held.is_none() {
         return None;
     }
@@ -382,16 +397,32 @@ fn saturation(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> 
         let all = stretches.iter().enumerate().filter(|(i, _)| proves(*i) == wanted);
         all.map(|(_, s)| *s).collect()
     };
-    let (value, sd) = jackknife(&of(false))?;
+    let loss = jackknife(&of(false))?;
     let proof = Sums::all(&of(true));
-    let (before, after) = (proof.rms(0.0), proof.rms(value));
+    Some(Strong {
+        loss,
+        greatest,
+        rms: (proof.rms(0.0), proof.rms(loss.0)),
+    })
+}
+
+/// Torque that strong currents do not give.
+fn saturation(strong: &Strong) -> Option<Beside> {
+    let ((value, sd), (before, after)) = (strong.loss, strong.rms);
     let seen = (
         "impulses of strong currents against what the flux makes of them, over their uncertainty",
         "-",
     );
-    (value > 0.0 && greatest > 0.0 && holds(value, sd, LEAST_LOSS / greatest, before, after))
-        .then(|| found(EffectKind::TorqueSaturation, (value, sd), seen, (before, after)))
+    // what something else makes of strong currents is only a little less by it
+    (value > 0.0
+        && strong.greatest > 0.0
+        && after < MOST_LEFT
+        && holds(value, sd, LEAST_LOSS / strong.greatest, before, after))
+    .then(|| found(EffectKind::TorqueSaturation, (value, sd), seen, (before, after)))
 }
+
+/// Most that a loss of torque leaves of the impulses of strong currents, over their uncertainty (assumed).
+const MOST_LEFT: f64 = 4.0;
 
 /// How far constants of units of one type differ, one sigma relative: resistance at 20 degC, inductance, inertia
 /// (assumed); and squared standard deviations that an explanation must take.

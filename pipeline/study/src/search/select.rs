@@ -461,15 +461,19 @@ fn source(bench: &Bench, runs: &[&Run]) -> Option<(f64, f64)> {
         let three = |c: [BenchChannel; 3]| c.iter().map(|c| run.channel(*c)).collect::<Option<Vec<_>>>();
         let (volts, currents) = (three(BenchChannel::VOLTAGES)?, three(BenchChannel::CURRENTS)?);
         let dc = run.channel(BenchChannel::VDc)?;
-        let (mut gram, mut right) = (Matrix3::zeros(), Vector3::zeros());
-        for k in 0..dc.len() {
-            let power: f64 = (0..3).map(|q| volts[q][k] * currents[q][k]).sum();
-            let size: f64 = currents.iter().map(|i| i[k].abs()).sum();
-            let x = Vector3::new(1.0, power / dc[k].max(1.0), 0.5 * size);
-            gram += x * x.transpose();
-            right += (dc[k] - rig.supply_voltage) * x;
+        // of half a second or so
+        let pieces = ((2.0 * dc.len() as f64 / run.rate_hz) as usize).max(1);
+        for piece in 0..pieces {
+            let (mut gram, mut right) = (Matrix3::zeros(), Vector3::zeros());
+            for k in piece * dc.len() / pieces..(piece + 1) * dc.len() / pieces {
+                let power: f64 = (0..3).map(|q| volts[q][k] * currents[q][k]).sum();
+                let size: f64 = currents.iter().map(|i| i[k].abs()).sum();
+                let x = Vector3::new(1.0, power / dc[k].max(1.0), 0.5 * size);
+                gram += x * x.transpose();
+                right += (dc[k] - rig.supply_voltage) * x;
+            }
+            sums.push((gram, right));
         }
-        sums.push((gram, right));
     }
     let without = |out: Option<usize>| {
         let kept = || sums.iter().enumerate().filter(|(p, _)| Some(*p) != out).map(|(_, s)| s);

@@ -220,7 +220,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
             s.why_not = "the held-out data do not get better";
         }
     }
-    let beside = beside::beside(&m, &model, &first_nuisances);
+    let (beside, stranger) = beside::beside(&m, &model, &first_nuisances);
     ambiguous.retain(|(k, _)| model.terms.iter().any(|t| t.kind == *k));
     // one filter and one set of rows for all three
     let retuned = m.solve(&[], m.first_sigma());
@@ -230,6 +230,9 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     let nominal_to_channel = 1.0 / m.bench.rig.drive_constant.value;
     let (verdict, explained, remainder) = conclude(&m, &nominal, &retuned, &model, &ambiguous);
     let mut verdict = verdict.beside(&beside);
+    if stranger && matches!(verdict, Verdict::None | Verdict::Retune) {
+        verdict = Verdict::Unknown;
+    }
     if m.held.is_none() && !(model.terms.is_empty() && beside.is_empty()) {
         verdict = Verdict::Candidate;
     }
