@@ -121,9 +121,9 @@ fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
         ..power.clone()
     };
     assert!(!power.to_toml().contains("draw"), "files of before stay as they are");
-    assert_eq!(parse(&legs.to_toml()).unwrap().effects, [legs.clone()]);
+    assert_eq!(parse(&legs.to_toml()).unwrap().effects, std::slice::from_ref(&legs));
     let said = format!("{}draw = \"power\"\n", power.to_toml());
-    assert_eq!(parse(&said).unwrap().effects, [power.clone()]);
+    assert_eq!(parse(&said).unwrap().effects, std::slice::from_ref(&power));
     for (of, wrong, allowed) in [
         (&power, "both", "power or legs"),
         (&visible(EffectKind::DeadTime), "legs", "in no source"),
