@@ -12,7 +12,7 @@ use sim_worker::simulate::LANES;
 
 /// Gap of the simulated speed over the noise of its sensor from which on the loop is looked into (assumed: without anything
 /// missing it is 0.99 to 1.04).
-const SUSPECT: f64 = 1.15;
+const SUSPECT: f64 = 1.08;
 /// How many delays are tried at once, which are tried first [s], and the step between those that are tried around the best of them.
 const AT_ONCE: usize = LANES / 2;
 const FIRST: [f64; AT_ONCE] = [0.0, 1e-4, 2e-4, 3e-4, 4e-4, 6e-4, 8e-4, 1.1e-3];
