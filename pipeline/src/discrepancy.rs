@@ -438,3 +438,43 @@ fn notes(e: &FoundEffect, f: &Findings, hashes: &[String]) -> Vec<(String, Note)
     notes.retain(|(_, n)| !matches!(n, Note::Number(x) if !x.is_finite()));
     notes
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prop_only_a_motion_twice_as_far_away_in_held_out_data_stands_against_what_was_found() {
+        let of = |channel: BenchChannel, parent: f64, child: f64, heldout: bool| {
+            let other = verify::VerifiedChannel {
+                channel: BenchChannel::Position.name().into(),
+                unit: "rad".into(),
+                samples: 1,
+                parent: 1.0,
+                child: 100.0,
+                simplified: None,
+            };
+            let one = verify::VerifiedChannel {
+                channel: channel.name().into(),
+                unit: "rad/s".into(),
+                parent,
+                child,
+                ..other.clone()
+            };
+            further_away(&verify::Verification {
+                heldout,
+                channels: vec![other, one],
+                ..Default::default()
+            })
+        };
+        let said = of(BenchChannel::Velocity, 2.5, 190.0, true).expect("it runs away");
+        assert!(
+            said.contains("velocity") && said.contains("1.900e2") && said.contains("2.500e0"),
+            "{said}"
+        );
+        assert!(of(BenchChannel::Current, 0.5, 14.0, true).is_some());
+        assert_eq!(of(BenchChannel::Velocity, 0.2, 0.39, true), None);
+        assert_eq!(of(BenchChannel::Velocity, 2.5, 0.2, true), None);
+        assert_eq!(of(BenchChannel::Velocity, 2.5, 190.0, false), None);
+    }
+}
