@@ -199,20 +199,30 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                     let verified = interruptible(tell_user, move |_| verify::verify(&bench, &parent, &of))??;
                     Ok((child, verified))
                 };
+                // told, made and simulated anew
+                let again = |outcome: &Outcome| -> Result<_> {
+                    let findings = told(outcome);
+                    let made = model(&findings);
+                    let (child, verification) = verified(&made, outcome.verdict)?;
+                    Ok((findings, made, child, verification))
+                };
                 let (mut child, mut verification) = verified(&made, outcome.verdict)?;
                 let (bench, of) = (as_read.clone(), child.clone());
                 outcome.source = interruptible(tell_user, move |_| in_loop::source_of_legs(&bench, &of))??;
                 if outcome.source.is_some() {
-                    findings = told(&outcome);
-                    made = model(&findings);
-                    (child, verification) = verified(&made, outcome.verdict)?;
+                    (findings, made, child, verification) = again(&outcome)?;
                 }
                 if let Some(late) = late_control(&as_read, child, &verification, &outcome, tell_user)? {
                     outcome.verdict = outcome.verdict.beside(std::slice::from_ref(&late));
                     outcome.beside.push(late);
+                    (findings, made, _, verification) = again(&outcome)?;
+                }
+                // what is to be missing brings the simulated actuator nearer to what was measured, or it is not that
+                let away = further_away(&verification);
+                if let Some(text) = away.filter(|_| outcome.verdict != Verdict::None) {
+                    outcome.verdict = Verdict::Unknown;
                     findings = told(&outcome);
-                    made = model(&findings);
-                    verification = verified(&made, outcome.verdict)?.1;
+                    findings.assumptions.push(text);
                 }
                 let driven = verification
                     .channels
@@ -223,13 +233,6 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                     findings
                         .not_excited
                         .retain(|(n, _)| n != EffectKind::ControlDelay.name());
-                }
-                // what is to be missing brings the simulated actuator nearer to what was measured, or it is not that
-                let away = further_away(&verification);
-                if let Some(text) = away.filter(|_| outcome.verdict != Verdict::None) {
-                    outcome.verdict = Verdict::Unknown;
-                    findings = told(&outcome);
-                    findings.assumptions.push(text);
                 }
                 findings.verification = Some(verification);
             }

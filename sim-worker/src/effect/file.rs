@@ -79,26 +79,18 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
             )?;
         }
         if t.may_have("sensor") {
-            let of_sensor = matches!(kind, EffectKind::CurrentOffset | EffectKind::CurrentGain);
-            let allowed = if of_sensor {
-                "a, b or c"
-            } else {
-                "nothing: it is in no sensor of a phase"
-            };
-            let name = t.text("sensor", allowed)?;
-            let place = PHASES.iter().position(|p| *p == name).filter(|_| of_sensor);
-            e.sensor = Some(place.ok_or_else(|| t.bad("sensor", &name, allowed))?);
+            let phase = |name: &str| PHASES.iter().position(|p| *p == name);
+            e.sensor = Some(match kind {
+                EffectKind::CurrentOffset | EffectKind::CurrentGain => one_of(&mut t, "sensor", "a, b or c", phase)?,
+                _ => one_of(&mut t, "sensor", "nothing: it is in no sensor of a phase", |_| None)?,
+            });
         }
         if t.may_have("draw") {
-            let sag = kind == EffectKind::SupplySag;
-            let allowed = if sag {
-                "power or legs"
-            } else {
-                "nothing: it is in no source"
+            let draw = |name: &str| [Draw::Power, Draw::Legs].into_iter().find(|d| d.name() == name);
+            e.draw = match kind {
+                EffectKind::SupplySag => one_of(&mut t, "draw", "power or legs", draw)?,
+                _ => one_of(&mut t, "draw", "nothing: it is in no source", |_| None)?,
             };
-            let name = t.text("draw", allowed)?;
-            let known = [Draw::Power, Draw::Legs].into_iter().find(|d| d.name() == name);
-            e.draw = known.filter(|_| sag).ok_or_else(|| t.bad("draw", &name, allowed))?;
         }
         e.source = t.text_or("source", "assumed")?;
         if t.may_have("parent") {
@@ -120,6 +112,12 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
         effects.push(e);
     }
     Ok(effects)
+}
+
+/// What a name stands for, by `of`; refused where that is nothing.
+fn one_of<T>(t: &mut Section, key: &str, allowed: &str, of: impl Fn(&str) -> Option<T>) -> Result<T> {
+    let name = t.text(key, allowed)?;
+    of(&name).ok_or_else(|| t.bad(key, &name, allowed))
 }
 
 impl Effect {

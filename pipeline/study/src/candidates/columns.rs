@@ -2,7 +2,7 @@
 //! add to the equations. The equations themselves stand in `sim_worker::effect`.
 
 use crate::candidates::loads::{Spring, loose, released};
-use crate::candidates::phases::of_phases;
+use crate::candidates::phases::{LEGS, of_phases};
 use crate::equations::pieces::{Column, Piece, RigConstants, wide};
 use crate::equations::samples::{rate_of, sharpened, shifted};
 use crate::equations::signals::{SUPPLY, Signals};
@@ -492,7 +492,13 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
         Form::Heating if shape.first().is_some_and(|s| *s > 0.5) => vec![a(0)],
         Form::Heating => vec![a(0) * hottest],
     };
-    Effect::new(kind, &values).wrapped()
+    let mut e = Effect::new(kind, &values).wrapped();
+    match kind {
+        EffectKind::SupplySag if shape.first() == Some(&LEGS) => e.draw = Draw::Legs,
+        EffectKind::CurrentGain => e.sensor = shape.first().map(|q| *q as usize),
+        _ => {}
+    }
+    e
 }
 
 /// Shape parameters and amplitudes of an effect: the way back.
@@ -506,7 +512,7 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
         Form::Amplitude if e.kind == EffectKind::SupplySag => {
-            (vec![if e.draw == Draw::Legs { 1.0 } else { 2.0 }], vec![v[0]])
+            (vec![if e.draw == Draw::Legs { LEGS } else { 2.0 }], vec![v[0]])
         }
         Form::Amplitude if e.kind == EffectKind::DeadTime => (vec![0.05], vec![v[0]]),
         Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),

@@ -2,7 +2,7 @@
 
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::{Phases, SUPPLY, Signals};
-use sim_worker::effect::{self, Draw, EffectKind, Equation};
+use sim_worker::effect::{self, EffectKind, Equation};
 use std::f64::consts::TAU;
 
 /// What the phases make of an effect that changes their constants: amplitudes' columns of torque and phase voltages.
@@ -40,13 +40,8 @@ fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) 
     column
 }
 
-/// What a source's voltage goes by, from the shape of its term: 1 by the size of the legs' current, else by power.
-pub fn draw(shape: &[f64]) -> Draw {
-    match shape.first() {
-        Some(s) if (0.5..1.5).contains(s) => Draw::Legs,
-        _ => Draw::Power,
-    }
-}
+/// Shape of a source whose voltage goes by the size of the legs' current; what is less goes by power.
+pub const LEGS: f64 = 3.0;
 
 /// As [`super::columns::contribution`], of effects that the phases tell apart; `None` for all others.
 pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants) -> Option<Vec<Column>> {
@@ -66,6 +61,17 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
         0.5 * c.effect.inductance,
         0.5 * c.effect.torque_constant,
     );
+    // what a phase's own current takes of its voltage, the other way
+    let less = |q: usize| -> Column {
+        let of = |(order, factor): (usize, f64)| Piece {
+            equation: Equation::Electrical,
+            order,
+            signal: p.current[q].iter().map(|i| factor * i).collect(),
+            phase: Some(q),
+        };
+        let orders = [(0, -r), (1, -l)].into_iter();
+        orders.filter(|_| p.voltage.is_some()).map(of).collect()
+    };
     Some(match kind {
         // the second column is the first a quarter of a turn later, as [`super::columns::effect`] takes it
         EffectKind::Eccentricity => {
@@ -82,41 +88,33 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
         EffectKind::TurnShort => {
             let short = shape[0] as usize;
             let mut column = phased(s, p, c, |q, _| if q == short { -1.0 } else { 0.0 });
-            if p.voltage.is_some() {
-                for (order, factor) in [(0, -r), (1, -l)] {
-                    column.push(Piece {
-                        equation: Equation::Electrical,
-                        order,
-                        signal: p.current[short].iter().map(|i| factor * i).collect(),
-                        phase: Some(short),
-                    });
-                }
-            }
+            column.extend(less(short));
             vec![column]
         }
         EffectKind::DeadTime if p.voltage.is_some() => {
             // Half of it in each leg, for the part of a sample in which the leg conducts: what is recorded of the
             // current of a leg that does not is the noise of its sensor. What two legs carry is the same current,
-            // so its size is taken from all three sensors, and its sign from the leg's.
+            // so it is taken from all three sensors, along the signs of the legs that conduct, whichever way the drive
+            // pushes.
             let width = shape.first().copied().unwrap_or(0.05);
-            let share: [Vec<f64>; 3] = std::array::from_fn(|q| {
-                let on = |theta: f64| effect::conducting(theta, c.effect.pole_pairs)[q];
-                (0..s.n).map(|k| p.mean(s, k, on)).collect()
-            });
-            // whichever way the drive pushes: the current along the signs of the legs that conduct
-            let along = |k: usize| {
-                0.5 * (0..3)
-                    .map(|q| share[q][k].signum() * p.current[q][k] * f64::from(u8::from(share[q][k] != 0.0)))
-                    .sum::<f64>()
-            };
-            let drop: Vec<f64> = (0..s.n).map(|k| 0.5 * (along(k) / width).tanh()).collect();
-            vec![voltages(&|q, k| share[q][k] * drop[k])]
+            let drop: Vec<[f64; 3]> = (0..s.n)
+                .map(|k| {
+                    let share = p.conducting(s, k);
+                    let along = |q: usize| match share[q] {
+                        0.0 => 0.0,
+                        on => on.signum() * p.current[q][k],
+                    };
+                    let current = 0.5 * (along(0) + along(1) + along(2));
+                    share.map(|on| on * 0.5 * (current / width).tanh())
+                })
+                .collect();
+            vec![voltages(&|q, k| drop[k][q])]
         }
         EffectKind::SupplySag if p.supply.is_some() && p.voltage.is_some() => {
             let (v, dc) = (p.voltage.as_ref()?, p.supply.as_ref()?);
             // what a link with a capacitor draws by its power, or what the legs carry where nothing levels it
             let draw = |k: usize| {
-                if draw(shape) == Draw::Legs {
+                if shape.first() == Some(&LEGS) {
                     return p.size(k);
                 }
                 (0..3).map(|q| v[q][k] * p.current[q][k]).sum::<f64>() / dc[k].max(1.0)
@@ -160,16 +158,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
                 signal: (0..s.n).map(|k| along[k] * p.current[q][k]).collect(),
                 phase: None,
             }];
-            if p.voltage.is_some() {
-                for (order, factor) in [(0, -r), (1, -l)] {
-                    column.push(Piece {
-                        equation: Equation::Electrical,
-                        order,
-                        signal: p.current[q].iter().map(|i| factor * i).collect(),
-                        phase: Some(q),
-                    });
-                }
-            }
+            column.extend(less(q));
             vec![column]
         }
         // all constants together stand for a gain of all, which is judged by what is believed of them

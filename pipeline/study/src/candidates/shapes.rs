@@ -1,5 +1,6 @@
 //! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
 
+use crate::candidates::phases::LEGS;
 use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
 use crate::measured::filter::FilterBank;
@@ -104,7 +105,7 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         // a speed sensor of its own, or the speed of the same angle
         EffectKind::EncoderEccentricity if runs.iter().all(|r| r.velocity.is_some()) => one(vec![0.0, 1.0]),
         EffectKind::EncoderEccentricity => one(vec![0.0]),
-        EffectKind::SupplySag if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0]),
+        EffectKind::SupplySag if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, LEGS]),
         // the supply is measured, and the voltage of the winding as it is or as it was asked for; or the latter alone
         EffectKind::SupplySag if runs.iter().all(|r| r.supply.is_some()) => one(vec![0.0, 1.0]),
         EffectKind::SupplySag => one(vec![2.0]),
@@ -269,11 +270,11 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
         EffectKind::WindingHeating => vec![(0.0, 2.0), (0.02, 1e3)],
+        EffectKind::SupplySag => vec![(0.0, LEGS)],
         EffectKind::TurnShort
         | EffectKind::CurrentOffset
         | EffectKind::CurrentGain
-        | EffectKind::EncoderEccentricity
-        | EffectKind::SupplySag => vec![(0.0, 2.0)],
+        | EffectKind::EncoderEccentricity => vec![(0.0, 2.0)],
         EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => vec![(0.005, 0.5)],
         EffectKind::DeadTime => {
             let most = runs.iter().flat_map(|r| &r.drive).fold(0.0, |a: f64, x| a.max(x.abs()));

@@ -210,14 +210,15 @@ impl Phases {
         }
     }
 
-    /// Mean over a sample of a function of the angle.
-    pub fn mean(&self, s: &Signals, k: usize, f: impl Fn(f64) -> f64) -> f64 {
-        along(self.way(s, k), f)
+    /// Part of a sample in which each phase conducts, by its sign.
+    pub fn conducting(&self, s: &Signals, k: usize) -> [f64; 3] {
+        let way = self.way(s, k);
+        std::array::from_fn(|q| along(way, |theta| effect::conducting(theta, self.pole_pairs)[q]))
     }
 
     /// Size of the current that two phases carry, whatever its sign [A].
     pub fn size(&self, k: usize) -> f64 {
-        0.5 * (0..3).map(|q| self.current[q][k].abs()).sum::<f64>()
+        size_of(&self.current, k)
     }
 
     /// Current that acts on the torque, by the true angle.
@@ -241,6 +242,11 @@ impl Phases {
             })
             .collect()
     }
+}
+
+/// Size of the current that two of three phases carry, whatever its sign [A].
+pub fn size_of(currents: &[impl AsRef<[f64]>], k: usize) -> f64 {
+    0.5 * currents.iter().map(|i| i.as_ref()[k].abs()).sum::<f64>()
 }
 
 /// Mean of a function over the way from one angle to another.

@@ -1,6 +1,6 @@
 //! Weighted least squares with priors: a model with given shapes, solved, crossed and predicted.
 
-use crate::candidates::{columns, phases};
+use crate::candidates::columns;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
@@ -17,6 +17,13 @@ pub struct Term {
     pub shape: Vec<f64>,
     /// linear parameters, in the order of the effect's columns
     pub amplitudes: Vec<f64>,
+}
+
+impl Term {
+    /// Whether it is a gain of all current sensors together, not of one phase's.
+    pub fn is_gain_of_all(&self) -> bool {
+        self.kind == EffectKind::CurrentGain && self.shape.is_empty()
+    }
 }
 
 /// A candidate's columns over the rows of a problem.
@@ -475,14 +482,7 @@ pub fn without_local(p: &Problem, r: Vec<f64>, sigma: &[f64; 5]) -> Vec<f64> {
 
 /// The effect of a term, in its canonical parameters.
 pub fn effect_of(t: &Term, c: &RigConstants, p: &Problem) -> Effect {
-    let mut e = columns::effect(t.kind, &t.shape, &t.amplitudes, c.effect.coulomb, hottest(p));
-    if t.kind == EffectKind::SupplySag && p.signals.iter().all(|s| s.phases.is_some()) {
-        e.draw = phases::draw(&t.shape);
-    }
-    if t.kind == EffectKind::CurrentGain {
-        e.sensor = t.shape.first().map(|q| *q as usize);
-    }
-    e
+    columns::effect(t.kind, &t.shape, &t.amplitudes, c.effect.coulomb, hottest(p))
 }
 
 /// Greatest measured rise over 20 degC [K].

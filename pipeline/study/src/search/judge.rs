@@ -272,11 +272,10 @@ fn echoed(m: &Material, model: &Fit, next: &Fit) -> bool {
 /// Whether a gain of the current is new that leaves the voltage as it was: without a load that is measured it is nothing in the
 /// torque but another inertia and another friction.
 fn unshown(m: &Material, model: &Fit, next: &Fit) -> bool {
-    let gain = |t: &Term| t.kind == EffectKind::CurrentGain && t.shape.is_empty();
     let new = &next.terms[model.terms.len()..];
     let e = Equation::Electrical.index();
     let excess = model.score.energy[e] - m.fit.sensor_energy(e);
-    new.iter().any(gain)
+    new.iter().any(Term::is_gain_of_all)
         && !m.has(BenchChannel::Load)
         && model.score.energy[e] - next.score.energy[e] < LEAST_PART * excess.max(0.0)
 }

@@ -9,4 +9,5 @@ pub mod scan;
 pub mod select;
 pub mod spectrum;
 pub mod study;
+pub mod supply;
 pub mod verdict;

@@ -13,7 +13,7 @@ use crate::measured::recording::{self, Run};
 use crate::search::excitation;
 use crate::search::fit::{self, Fit, Regressor, Score, Term};
 use crate::search::scan::Scan;
-use nalgebra::{Matrix3, Vector3};
+use crate::search::supply;
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
 use std::sync::Arc;
@@ -29,9 +29,6 @@ const DELAY_ROUNDS: usize = 6;
 const LEAST_DELAY: f64 = 0.4;
 const LEAST_DELAY_GAIN: f64 = 8.0;
 const LEAST_VOLTAGE_DELAY: f64 = 1.5;
-
-/// What a sensor of the supply's voltage is good for, at best (assumed).
-const SUPPLY_KNOWN: f64 = 1e-4;
 
 /// All that a study works on.
 pub struct Material {
@@ -447,53 +444,6 @@ impl Material {
     }
 }
 
-/// Voltage of an actuator's supply with nothing drawn from it, and its standard deviation [V]: what straight lines through the
-/// measured voltage, by the power and by the size of the currents, begin with. `None` where it is not measured or the bench says
-/// it, or where it cannot be told from what the actuator's file has.
-fn source(bench: &Bench, runs: &[&Run]) -> Option<(f64, f64)> {
-    let rig = &bench.rig;
-    if !bench.has_phases() || !rig.from_model.contains(&"supply_voltage") {
-        return None;
-    }
-    // sums of the pieces, each of which is left out once: what that changes says how well it is known
-    let mut sums: Vec<(Matrix3<f64>, Vector3<f64>)> = Vec::new();
-    for run in runs {
-        let three = |c: [BenchChannel; 3]| c.iter().map(|c| run.channel(*c)).collect::<Option<Vec<_>>>();
-        let (volts, currents) = (three(BenchChannel::VOLTAGES)?, three(BenchChannel::CURRENTS)?);
-        let dc = run.channel(BenchChannel::VDc)?;
-        // of half a second or so
-        let pieces = ((2.0 * dc.len() as f64 / run.rate_hz) as usize).max(1);
-        for piece in 0..pieces {
-            let (mut gram, mut right) = (Matrix3::zeros(), Vector3::zeros());
-            for k in piece * dc.len() / pieces..(piece + 1) * dc.len() / pieces {
-                let power: f64 = (0..3).map(|q| volts[q][k] * currents[q][k]).sum();
-                let size: f64 = currents.iter().map(|i| i[k].abs()).sum();
-                let x = Vector3::new(1.0, power / dc[k].max(1.0), 0.5 * size);
-                gram += x * x.transpose();
-                right += (dc[k] - rig.supply_voltage) * x;
-            }
-            sums.push((gram, right));
-        }
-    }
-    let without = |out: Option<usize>| {
-        let kept = || sums.iter().enumerate().filter(|(p, _)| Some(*p) != out).map(|(_, s)| s);
-        let gram: Matrix3<f64> = kept().map(|s| s.0).sum();
-        let right: Vector3<f64> = kept().map(|s| s.1).sum();
-        Some(rig.supply_voltage + gram.cholesky()?.solve(&right)[0])
-    };
-    let n = sums.len();
-    if n < 3 {
-        return None;
-    }
-    let volts = without(None)?;
-    let each = (0..n).map(|p| without(Some(p))).collect::<Option<Vec<f64>>>()?;
-    let middle = each.iter().sum::<f64>() / n as f64;
-    let scatter = each.iter().map(|x| (x - middle).powi(2)).sum::<f64>();
-    let sd = (scatter * (n as f64 - 1.0) / n as f64).sqrt().max(SUPPLY_KNOWN * volts);
-    let is_other = (volts - rig.supply_voltage).abs() > 3.0 * sd;
-    (volts.is_finite() && volts > 0.0 && is_other).then_some((volts, sd))
-}
-
 /// Constants that nobody knows begin where a straight fit of the smoothed signals puts them.
 fn begin(bench: &mut Bench, runs: &[Run]) {
     let free = |k: &Known| k.value <= 0.0 && k.trust != Some(0.0);
@@ -501,7 +451,7 @@ fn begin(bench: &mut Bench, runs: &[Run]) {
         .iter()
         .filter(|r| matches!(r.role, Role::Fit | Role::Select) && !r.steady)
         .collect();
-    if let Some((volts, sd)) = source(bench, &used) {
+    if let Some((volts, sd)) = supply::at_rest(bench, &used) {
         let rig = &mut bench.rig;
         rig.supply_of_file = Some((rig.supply_voltage, sd));
         rig.supply_voltage = volts;

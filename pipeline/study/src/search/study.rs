@@ -342,7 +342,7 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
         // all constants together stand for a gain: their beliefs decide, where no load is measured
-        let gain = e.kind == EffectKind::CurrentGain && e.sensor.is_none();
+        let gain = model.terms[t].is_gain_of_all();
         let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
         let needed = || !gain && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
         linear && intervals.terms[t][0] > most * e.values[0].abs() && !needed()
@@ -353,11 +353,9 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
 fn usual(t: &Term) -> f64 {
     match t.kind {
         EffectKind::Cogging | EffectKind::BiasTorque => 1.5,
-        EffectKind::CurrentOffset | EffectKind::TurnShort => -1.5,
-        // of one phase
-        EffectKind::CurrentGain if !t.shape.is_empty() => -1.5,
         // all constants together stand for it
-        EffectKind::CurrentGain => -30.0,
+        _ if t.is_gain_of_all() => -30.0,
+        EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::TurnShort => -1.5,
         _ => 0.0,
     }
 }

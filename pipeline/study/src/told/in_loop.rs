@@ -2,6 +2,7 @@
 //! current as it came; the numerical test bench under the recorded command, late by one delay or another, says which fits. And
 //! how much of the time the legs draw their current from a source that nothing levels: the relays know.
 
+use crate::equations::signals::size_of;
 use crate::measured::bench::{Bench, BenchChannel, Role, RunSpec};
 use crate::search::beside::{Beside, found, scatter};
 use crate::told::verify::{self, OfRuns, Simulated, Verification};
@@ -106,19 +107,16 @@ pub fn source_of_legs(bench: &Bench, child: &ActuatorParameters) -> Result<Optio
     let Some(assumed) = child.effects.iter().find(of_legs).map(|e| e.values[0]) else {
         return Ok(None);
     };
-    let currents = [BenchChannel::CurrentA, BenchChannel::CurrentB, BenchChannel::CurrentC];
     let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select])?;
     // of each piece: covariances of the size with what was measured and with what was simulated
     let mut parts: Vec<[f64; 2]> = Vec::new();
     for (runs, recorded) in &all {
         let measured = |c: BenchChannel| recorded.measured.get(&c);
-        let phases: Vec<&Vec<f64>> = currents.iter().filter_map(|c| measured(*c)).collect();
-        let (Some(v), [a, b, c]) = (measured(BenchChannel::VDc), phases.as_slice()) else {
+        let phases: Option<Vec<&Vec<f64>>> = BenchChannel::CURRENTS.iter().map(|c| measured(*c)).collect();
+        let (Some(v), Some(currents)) = (measured(BenchChannel::VDc), phases) else {
             continue;
         };
-        let size: Vec<f64> = (0..v.len())
-            .map(|k| 0.5 * (a[k].abs() + b[k].abs() + c[k].abs()))
-            .collect();
+        let size: Vec<f64> = (0..v.len()).map(|k| size_of(&currents, k)).collect();
         let simulated = verify::driven::<1>(bench, recorded, std::slice::from_ref(child)).swap_remove(0);
         let s = &simulated[&BenchChannel::VDc];
         for run in runs.iter().filter(|r| r.role != Role::HeldOut) {
