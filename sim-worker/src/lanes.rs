@@ -337,8 +337,30 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             if fx.has_levels() {
                 fx.level(&k.th0, &st.th, &st.turn);
             }
-            if fx.is_electrical() || fx.has_dead_time() {
-                effects_on_angles(k, &st, &mut on, fx);
+            if fx.is_electrical() {
+                for l in 0..N {
+                    let felt = &fx.felt;
+                    on.k0[l] *= felt.emf[0][l];
+                    on.k1[l] *= felt.emf[1][l];
+                    on.k2[l] *= felt.emf[2][l];
+                    let r = st.r[l] + felt.error[l];
+                    let fold = back_emf::fold(r - 12.0 * trig::nearest(r * (1.0 / 12.0)));
+                    // a lane without any stays the same to the bit
+                    let same = felt.error[l] == 0.0;
+                    on.f0[l] = pick(same, on.f0[l], fold[0]);
+                    on.f1[l] = pick(same, on.f1[l], fold[1]);
+                    on.f2[l] = pick(same, on.f2[l], fold[2]);
+                }
+            }
+            if fx.has_dead_time() {
+                let (mut conducts, mut ic) = ([[false; N]; 3], [0.0; N]);
+                for l in 0..N {
+                    conducts[0][l] = on.f0[l].abs() >= 1.0;
+                    conducts[1][l] = on.f1[l].abs() >= 1.0;
+                    conducts[2][l] = on.f2[l].abs() >= 1.0;
+                    ic[l] = -(st.ia[l] + st.ib[l]);
+                }
+                fx.drops(&conducts, &[st.ia, st.ib, ic]);
             }
         }
         // current control, bridge and windings; the third current is minus the sum of the others
@@ -415,8 +437,17 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 sum.iq[l] += half_shape(on.f0[l]) * i[0] + half_shape(on.f1[l]) * i[1] + half_shape(on.f2[l]) * ic;
             }
         }
-        if F & term::EFFECTS != 0 && (fx.is_saturated() || fx.has_state()) {
-            effects_on_torque(k, &st, &mut on, fx);
+        if F & term::EFFECTS != 0 && fx.is_saturated() {
+            let mut ic = [0.0; N];
+            for l in 0..N {
+                ic[l] = -(st.ia[l] + st.ib[l]);
+            }
+            fx.saturate(&st.ia, &mut on.k0);
+            fx.saturate(&st.ib, &mut on.k1);
+            fx.saturate(&ic, &mut on.k2);
+        }
+        if F & term::EFFECTS != 0 && fx.has_state() {
+            effects_with_state(k, &st, fx);
         }
         // torque and mechanics
         for l in 0..N {
@@ -499,38 +530,12 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
 /// What decays below it is 0, long before it becomes subnormal.
 const GONE: f64 = 1e-100;
 
-/// What effects change of back-EMF, commutation and leg voltages. Lane by lane, apart from the
-/// loops over lanes: what a lane without effects computes there stays the same to the bit.
+/// Torques of effects that have a state. Lane by lane, apart from the loops over lanes: what a lane without them computes
+/// there stays the same to the bit.
 #[inline(never)]
-fn effects_on_angles<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut Handed<N>, fx: &mut LaneEffects<N>) {
-    if fx.is_electrical() {
-        for l in 0..N {
-            let coefficients = [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]];
-            if let Some(error) = fx.electrical(l, k.th0[l] + st.th[l], coefficients) {
-                let r = st.r[l] + error;
-                [on.f0[l], on.f1[l], on.f2[l]] = back_emf::fold(r - 12.0 * trig::nearest(r * (1.0 / 12.0)));
-            }
-        }
-    }
-    if fx.has_dead_time() {
-        for l in 0..N {
-            let conducts = [on.f0[l], on.f1[l], on.f2[l]].map(|f| f.abs() >= 1.0);
-            fx.drops(l, conducts, [st.ia[l], st.ib[l], -(st.ia[l] + st.ib[l])]);
-        }
-    }
-}
-
-/// What effects change of the torques.
-#[inline(never)]
-fn effects_on_torque<const N: usize>(k: &Constants<N>, st: &State<N>, on: &mut Handed<N>, fx: &mut LaneEffects<N>) {
+fn effects_with_state<const N: usize>(k: &Constants<N>, st: &State<N>, fx: &mut LaneEffects<N>) {
     for l in 0..N {
-        let i = [st.ia[l], st.ib[l], -(st.ia[l] + st.ib[l])];
-        if fx.is_saturated() {
-            fx.saturate(l, i, [&mut on.k0[l], &mut on.k1[l], &mut on.k2[l]]);
-        }
-        if fx.has_state() {
-            fx.mechanical(l, st.th[l], st.turn[l], k.fd[l]);
-        }
+        fx.mechanical(l, st.th[l], st.turn[l], k.fd[l]);
     }
 }
 

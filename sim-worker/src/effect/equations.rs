@@ -101,6 +101,24 @@ pub(super) fn bell([torque, centre, width]: [f64; 3], theta: f64) -> f64 {
     torque * exp(-(x * x))
 }
 
+/// Share of the torque of a phase current [A] that a saturated iron leaves.
+#[inline(always)]
+pub(super) fn saturation(coefficient: f64, i: f64) -> f64 {
+    (1.0 - coefficient * i.abs()).max(0.0)
+}
+
+/// Voltage that a conducting leg of a current [A] loses to dead time [V].
+#[inline(always)]
+pub(super) fn dead_time(volts: f64, i: f64) -> f64 {
+    0.5 * volts * tanh(i / DEAD_TIME_A)
+}
+
+/// Angle of a sensor out of centre less the true one [rad].
+#[inline(always)]
+pub(super) fn off_centre([amplitude, phase, _]: [f64; 3], theta: f64) -> f64 {
+    amplitude * trig::sin_cos(theta + phase).0
+}
+
 /// `trap` of the paper: 0 to 1 over 0..30 electrical degrees, 1 to 150, to -1 at 210, -1 to 330,
 /// back to 0 at 360.
 pub fn shape(electrical: f64) -> f64 {
@@ -258,7 +276,7 @@ impl Effect {
     /// What is left of a phase's torque at its current `i` [A]; it does not turn its sign.
     pub fn saturation(&self, i: f64) -> f64 {
         match self.kind {
-            EffectKind::TorqueSaturation => (1.0 - self.values[0] * i.abs()).max(0.0),
+            EffectKind::TorqueSaturation => saturation(self.values[0], i),
             _ => 1.0,
         }
     }
@@ -275,7 +293,7 @@ impl Effect {
     /// two legs conduct at a time.
     pub fn leg_drop(&self, i: f64) -> f64 {
         match self.kind {
-            EffectKind::DeadTime => 0.5 * self.values[0] * tanh(i / DEAD_TIME_A),
+            EffectKind::DeadTime => dead_time(self.values[0], i),
             _ => 0.0,
         }
     }
@@ -283,7 +301,7 @@ impl Effect {
     /// Measured angle less the true one [rad].
     pub fn angle_error(&self, theta: f64) -> f64 {
         match self.kind {
-            EffectKind::EncoderEccentricity => self.values[0] * trig::sin_cos(theta + self.values[1]).0,
+            EffectKind::EncoderEccentricity => off_centre(self.values, theta),
             _ => 0.0,
         }
     }

@@ -2,6 +2,7 @@
 
 use super::equations::{self, REFERENCE_TEMPERATURE_DEGC};
 use super::{Constants, Dahl, DelayLine, Draw, Effect, EffectKind, Signals, TwoMass, commutation_share};
+use crate::control::pick;
 use crate::lanes::Units;
 use crate::parameters::ActuatorParameters;
 use schemas::fault::FaultState;
@@ -262,6 +263,10 @@ pub struct Felt<const N: usize> {
     pub more: [[f64; N]; 3],
     /// one over the sum of `more`; 0 with all turns
     pub even: [f64; N],
+    /// factor of each phase's back-EMF coefficient
+    pub emf: [[f64; N]; 3],
+    /// angle that the commutation is off, in units of 30 electrical degrees
+    pub error: [f64; N],
     /// motor angle at the step's start
     pub th: [f64; N],
 }
@@ -282,8 +287,6 @@ struct Sum<const N: usize> {
     friction: [f64; N],
     /// [N m]
     torque: [f64; N],
-    /// back-EMF coefficients over those without ripple
-    ripple: [f64; N],
 }
 
 /// The effects of all lanes of a test bench.
@@ -292,6 +295,14 @@ pub struct LaneEffects<const N: usize> {
     /// in one order whatever the company: sums of a lane are the same to the bit
     slots: Vec<Slot<N>>,
     sum: Sum<N>,
+    pole_pairs: [f64; N],
+    /// electrical angle of the commutation less the measured one [rad]
+    commutation: [f64; N],
+    /// share of the turns of each phase that is left
+    turns: [[f64; N]; 3],
+    /// the kernel's current and voltage of 1 A and 1 V
+    amperes: [f64; N],
+    volts: [f64; N],
     /// from the kernel's speed to rad/s, and from N m to the kernel's torque
     rad_per_s: [f64; N],
     newton_metre: [f64; N],
@@ -318,8 +329,12 @@ impl<const N: usize> Default for LaneEffects<N> {
             sum: Sum {
                 friction: [0.0; N],
                 torque: [0.0; N],
-                ripple: [ONE; N],
             },
+            pole_pairs: [ONE; N],
+            commutation: [0.0; N],
+            turns: [[ONE; N]; 3],
+            amperes: [ONE; N],
+            volts: [ONE; N],
             rad_per_s: [0.0; N],
             newton_metre: [0.0; N],
             lanes: Vec::new(),
@@ -341,6 +356,8 @@ impl<const N: usize> Default for LaneEffects<N> {
                 sensors: [0.0; N],
                 more: [[ONE; N]; 3],
                 even: [0.0; N],
+                emf: [[ONE; N]; 3],
+                error: [0.0; N],
                 th: [0.0; N],
             },
             electrical: false,
@@ -372,8 +389,10 @@ impl<const N: usize> LaneEffects<N> {
         self.units.push(u);
         self.rad_per_s[l] = 1.0 / u.rad_per_s;
         self.newton_metre[l] = u.newton_metre;
+        (self.amperes[l], self.volts[l]) = (u.ampere, u.volt);
         if let Some(e) = &own {
-            let effects = e.friction.iter().chain(&e.torque).chain(&e.ripple);
+            let by_levels = e.friction.iter().chain(&e.torque).chain(&e.ripple).chain(&e.encoder);
+            let effects = by_levels.chain(&e.saturation).chain(&e.dead_time);
             let mut seen: Vec<EffectKind> = Vec::new();
             for effect in effects {
                 let before = seen.iter().filter(|k| **k == effect.kind).count();
@@ -382,6 +401,9 @@ impl<const N: usize> LaneEffects<N> {
             }
             self.electrical |=
                 !e.ripple.is_empty() || !e.encoder.is_empty() || e.commutation != 0.0 || e.turns != [1.0; 3];
+            self.pole_pairs[l] = e.constants.pole_pairs;
+            self.commutation[l] = e.commutation;
+            (0..3).for_each(|q| self.turns[q][l] = e.turns[q]);
             self.dead_time |= !e.dead_time.is_empty();
             self.stateful |= e.bristles.is_some() || e.behind.is_some();
             self.behind |= e.behind.is_some();
@@ -411,6 +433,7 @@ impl<const N: usize> LaneEffects<N> {
             }
         }
         self.lanes.push(own);
+        self.turn(&[1.0; N], &[0.0; N]);
     }
 
     /// Another load torque [N m] in lane `l`; in the kernel's unit.
@@ -474,7 +497,7 @@ impl<const N: usize> LaneEffects<N> {
     /// * `th0` angles at rest [rad], `th` angles from there [rad], `turn` speeds
     #[inline(always)]
     pub fn level(&mut self, th0: &[f64; N], th: &[f64; N], turn: &[f64; N]) {
-        let (mut friction, mut torque, mut ripple) = ([0.0; N], [0.0; N], [1.0; N]);
+        let (mut friction, mut torque, mut ripple, mut angle) = ([0.0; N], [0.0; N], [1.0; N], [0.0; N]);
         let (mut theta, mut omega) = ([0.0; N], [0.0; N]);
         for l in 0..N {
             theta[l] = th0[l] + th[l];
@@ -544,6 +567,11 @@ impl<const N: usize> LaneEffects<N> {
                         ripple[l] *= 1.0 + equations::wave([a[l], b[l], d[l]], theta[l]);
                     }
                 }
+                EffectKind::EncoderEccentricity => {
+                    for l in 0..N {
+                        angle[l] += equations::off_centre([a[l], b[l], d[l]], theta[l]);
+                    }
+                }
                 _ => {}
             }
         }
@@ -551,11 +579,24 @@ impl<const N: usize> LaneEffects<N> {
             self.felt.friction[l] = friction[l] * self.newton_metre[l];
             self.felt.torque[l] = torque[l] * self.newton_metre[l];
         }
-        self.sum = Sum {
-            friction,
-            torque,
-            ripple,
-        };
+        self.sum = Sum { friction, torque };
+        if self.electrical {
+            self.turn(&ripple, &angle);
+        }
+    }
+
+    /// Works out what the commutation is off by, and the factors of the back-EMF coefficients.
+    ///
+    /// * `ripple` factors of all three, `angle` measured less true [rad]
+    #[inline(always)]
+    fn turn(&mut self, ripple: &[f64; N], angle: &[f64; N]) {
+        for l in 0..N {
+            for q in 0..3 {
+                self.felt.emf[q][l] = self.turns[q][l] * ripple[l];
+            }
+            let error = self.pole_pairs[l] * angle[l] + self.commutation[l];
+            self.felt.error[l] = error * (6.0 / std::f64::consts::PI);
+        }
     }
 
     /// Whether there is anything for [`LaneEffects::level`].
@@ -596,30 +637,23 @@ impl<const N: usize> LaneEffects<N> {
         }
     }
 
-    /// Scales the back-EMF coefficients `k` and hands out the angle that the commutation is off,
-    /// in units of 30 electrical degrees.
-    ///
-    /// * `theta` rotor angles [rad]
-    #[inline]
-    pub fn electrical(&self, l: usize, theta: f64, k: [&mut f64; 3]) -> Option<f64> {
-        let e = self.lanes[l].as_ref()?;
-        for (k, turns) in k.into_iter().zip(e.turns) {
-            *k *= turns * self.sum.ripple[l];
-        }
-        let error = e.electrical_error(theta);
-        (error != 0.0).then_some(error * (6.0 / std::f64::consts::PI))
-    }
-
     /// Works out the loss of each leg.
     ///
     /// * `on` whether each phase conducts, `i` phase currents
-    #[inline]
-    pub fn drops(&mut self, l: usize, on: [bool; 3], i: [f64; 3]) {
-        if let Some(e) = self.lanes[l].as_ref().filter(|e| !e.dead_time.is_empty()) {
-            let u = &self.units[l];
+    #[inline(always)]
+    pub fn drops(&mut self, on: &[[bool; N]; 3], i: &[[f64; N]; 3]) {
+        self.felt.drop = [[0.0; N]; 3];
+        for s in self.slots.iter().filter(|s| s.kind == EffectKind::DeadTime) {
             for q in 0..3 {
-                let drop = if on[q] { e.leg_drop(i[q] / u.ampere) } else { 0.0 };
-                self.felt.drop[q][l] = drop * u.volt;
+                for l in 0..N {
+                    let drop = equations::dead_time(s.values[0][l], i[q][l] / self.amperes[l]);
+                    self.felt.drop[q][l] += pick(on[q][l], drop, 0.0);
+                }
+            }
+        }
+        for q in 0..3 {
+            for l in 0..N {
+                self.felt.drop[q][l] *= self.volts[l];
             }
         }
     }
@@ -629,13 +663,19 @@ impl<const N: usize> LaneEffects<N> {
         self.dead_time
     }
 
-    /// Scales the back-EMF coefficients to those that make torque.
-    #[inline]
-    pub fn saturate(&self, l: usize, i: [f64; 3], k: [&mut f64; 3]) {
-        if let Some(e) = &self.lanes[l] {
-            for (k, i) in k.into_iter().zip(i) {
-                *k *= e.saturation(i / self.units[l].ampere);
+    /// Scales the back-EMF coefficients of a phase to those that make torque.
+    ///
+    /// * `i` its currents
+    #[inline(always)]
+    pub fn saturate(&self, i: &[f64; N], k: &mut [f64; N]) {
+        let mut left = [1.0; N];
+        for s in self.slots.iter().filter(|s| s.kind == EffectKind::TorqueSaturation) {
+            for l in 0..N {
+                left[l] *= equations::saturation(s.values[0][l], i[l] / self.amperes[l]);
             }
+        }
+        for l in 0..N {
+            k[l] *= left[l];
         }
     }
 
