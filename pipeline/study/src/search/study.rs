@@ -22,7 +22,9 @@ const PAIR_GAIN: f64 = 60.0;
 const EXCITED: f64 = 3.0;
 /// Half-width of an amplitude's 95 % interval over the amplitude from which it may as well be nothing.
 const VAGUE: f64 = 0.7;
-/// Gain of an effect that is there whatever its interval says.
+/// The same from which the interval holds nothing: such an effect is none, whatever the fit gains by it.
+const NOTHING: f64 = 1.0;
+/// Gain of an effect that is there though its interval is wide.
 const CERTAIN: f64 = 60.0;
 /// Energy of the voltage over that of the noise up to which nothing else is in it (assumed).
 const QUIET: f64 = 1.35;
@@ -345,7 +347,8 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
         let gain = model.terms[t].is_gain_of_all();
         let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
         let needed = || !gain && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
-        linear && intervals.terms[t][0] > most * e.values[0].abs() && !needed()
+        let half = intervals.terms[t][0] / e.values[0].abs();
+        linear && (half > NOTHING || half > most && !needed())
     })
 }
 
