@@ -208,6 +208,13 @@ fn correlations(series: &[Vec<f64>]) -> Vec<Vec<f64>> {
 }
 
 impl ResponseSurfaces {
+    /// Fewest simulated units from which bends are fitted.
+    ///
+    /// * `causes` that act by themselves
+    pub fn samples_of_bends(causes: usize) -> usize {
+        SAMPLES_EACH * (causes * TERMS + all_pairs(causes).count() * BEND_TERMS)
+    }
+
     /// Least squares over simulated units. Features are those of the first sample; causes that never
     /// deviate have slope 0.
     pub fn fit(scale: Scale, samples: &[Sample]) -> Self {
@@ -221,7 +228,7 @@ impl ResponseSurfaces {
             .collect();
         let mut pairs: Vec<(usize, usize)> = all_pairs(acting.len()).collect();
         let straight = acting.len() * TERMS;
-        if samples.len() < SAMPLES_EACH * (straight + pairs.len() * BEND_TERMS) {
+        if samples.len() < Self::samples_of_bends(acting.len()) {
             pairs.clear();
         }
         let row = |s: &Sample| {

@@ -11,15 +11,18 @@ use diagnoser::calibration::{COVERAGE, Calibration, uncalibrated};
 use diagnoser::diagnosis::{Diagnoser, Known, Outcome};
 use diagnoser::failure_map::FailureMapSet;
 use diagnoser::map_library::rounded_rest_angle;
-use diagnoser::uncertainty::{Deviations, deviations};
-use diagnoser::unit::{BASELINES, Baseline, Constants, KindEntry, Stratum, TestEntry, UnitCalibration, UnitFile};
+use diagnoser::uncertainty::{Deviations, ResponseSurfaces, deviations};
+use diagnoser::unit::{
+    BASELINES, Baseline, Constants, HealthyTests, KindEntry, Stratum, TestEntry, UnitCalibration, UnitFile,
+    after_healthy,
+};
 use nalgebra::DMatrix;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use schemas::error::Error;
-use schemas::fault::FaultState;
-use schemas::feature::{Feature, Features};
+use schemas::fault::{FaultGrid, FaultState};
+use schemas::feature::{Feature, Features, RawFeatures};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::setup::TestSetup;
 use sim_worker::spread::{Cause, Spread};
@@ -30,11 +33,12 @@ use std::sync::Arc;
 /// What a campaign of simulated units costs.
 #[derive(Clone, Copy, Debug)]
 pub struct UnitEffort {
-    /// tests at random faults that the response to the constants comes from
+    /// tests at random faults that the response to the constants comes from, at each rest angle; half of them where they
+    /// would not do for its bends
     pub surface: usize,
-    /// healthy tests that the baseline comes from
+    /// healthy tests that the baseline comes from, at each rest angle
     pub baseline: usize,
-    /// units that are given a history
+    /// units that are given a history, of all rest angles together
     pub units: usize,
     /// tests at random faults of each
     pub tests: usize,
@@ -46,17 +50,38 @@ impl UnitEffort {
     /// What units are calibrated with on first use.
     pub const QUICK: Self = Self {
         surface: 1024,
-        baseline: 320,
+        baseline: 192,
         units: 160,
         tests: 13,
         seed: 0,
     };
+
+    /// Tests that the response to the constants comes from.
+    fn surface_of(&self, prior: &Constants) -> usize {
+        let acting = prior.spread().causes().count();
+        if ResponseSurfaces::samples_of_bends(acting) <= self.surface {
+            self.surface
+        } else {
+            self.surface / 2
+        }
+    }
+
+    /// Runs at a rest angle, and those of the units with a history.
+    fn runs(&self, prior: &Constants) -> (usize, usize) {
+        let each = self.tests + HISTORIES[HISTORIES.len() - 1];
+        (self.surface_of(prior) + self.baseline, self.units * each)
+    }
 }
 
 /// Numbers of healthy tests that simulated units have.
 const HISTORIES: [usize; 2] = [1, 3];
 
-/// Maps for a test of a unit and what simulated units say of them, from the cache or made on first use.
+/// Rest angles from which units with a history are simulated [rad] (assumed): how far areas must reach, in standard deviations,
+/// is the same from all.
+const ANGLES_RAD: [f64; 3] = [0.35, 2.6, 4.5];
+
+/// Maps for a test of a unit and what simulated units say of them, from the cache or made on first use. How far areas must
+/// reach is made once a unit, for all rest angles; maps and responses are each angle's own.
 ///
 /// # Errors
 /// As [`maps::made`]; making them may be interrupted ([`crate::Interrupted`]).
@@ -64,22 +89,71 @@ pub fn ready(request: &MapRequest, unit: &UnitFile) -> Result<(FailureMapSet, Un
     let dir = maps::cached_in(request)?;
     let set = maps::made(&dir, request)?;
     let prior = unit.prior();
-    let (file, kept) = kept(&dir, &set, &prior);
+    let (file, kept) = kept(&dir, &set, &prior, "unit");
     if let Some(c) = kept {
         return Ok((set, c));
     }
     let effort = UnitEffort::QUICK;
-    let runs = effort.surface + effort.baseline + effort.units * (effort.tests + HISTORIES[HISTORIES.len() - 1]);
-    note(&format!("simulating units like this one ({runs} runs, once)"));
-    let made = calibrate(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
+    let runs = effort.runs(&prior);
+    let reach = reach(request, &prior, effort)?.filter(|r| r.is_of(&set));
+    let Some(reach) = reach else {
+        // another choice of features than elsewhere: what is known of it is known here alone
+        note(&format!(
+            "simulating units like this one ({} runs, once)",
+            runs.0 + runs.1
+        ));
+        let made = calibrate(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
+        made.save(&file)?;
+        return Ok((set, made));
+    };
+    note(&format!("responses at this rest angle ({} runs, kept)", runs.0));
+    let own = respond(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
+    let made = reach.at(&set, own.surfaces, own.baseline);
     made.save(&file)?;
     Ok((set, made))
 }
 
+/// How far areas of a unit must reach, from the cache or made on first use; `None` where the maps are not of the same features
+/// at all angles of [`ANGLES_RAD`].
+fn reach(request: &MapRequest, prior: &Constants, effort: UnitEffort) -> Result<Option<UnitCalibration>> {
+    let at = |angle: f64| MapRequest {
+        setup: TestSetup {
+            rest_angle_rad: rounded_rest_angle(angle),
+            ..request.setup.clone()
+        },
+        grid: request.grid.clone(),
+    };
+    let requests = ANGLES_RAD.map(at);
+    let dir = maps::cached_in(&requests[0])?;
+    let first = maps::made(&dir, &requests[0])?;
+    let (file, kept) = kept(&dir, &first, prior, "reach");
+    if let Some(c) = kept {
+        return Ok(Some(c));
+    }
+    let mut places = vec![(first, &requests[0].setup)];
+    for r in &requests[1..] {
+        places.push((maps::made(&maps::cached_in(r)?, r)?, &r.setup));
+    }
+    let features = |set: &FailureMapSet| kinds(set).into_iter().map(|k| k.0).collect::<Vec<_>>();
+    if places.iter().any(|(set, _)| features(set) != features(&places[0].0)) {
+        return Ok(None);
+    }
+    let (each, all) = effort.runs(prior);
+    note(&format!(
+        "simulating units like this one ({} runs, once for all rest angles)",
+        each * places.len() + all
+    ));
+    let made = calibrate_at(&places, prior, effort)?.ok_or(crate::Interrupted)?;
+    made.save(&file)?;
+    Ok(Some(made))
+}
+
 /// File beside maps for what simulated units of a prior say of them, and what it holds, if it can be used.
-fn kept(dir: &Path, set: &FailureMapSet, prior: &Constants) -> (PathBuf, Option<UnitCalibration>) {
+///
+/// * `what` it is called after
+fn kept(dir: &Path, set: &FailureMapSet, prior: &Constants, what: &str) -> (PathBuf, Option<UnitCalibration>) {
     let own = prior.fingerprint();
-    let file = dir.join(format!("unit-{own}.json"));
+    let file = dir.join(format!("{what}-{own}.json"));
     let kept = UnitCalibration::load(&file, &set.fingerprint(), &own).ok();
     (file, kept)
 }
@@ -94,7 +168,7 @@ pub fn found(request: &MapRequest, unit: &UnitFile, coverage: f64) -> Result<Opt
         return Ok(None);
     };
     let ready = |c: UnitCalibration| c.diagnoser(set.clone(), &unit.constants, unit.healthy(), coverage, &Vec::new());
-    Ok(kept(&dir, &set, &unit.prior()).1.map(ready).transpose()?)
+    Ok(kept(&dir, &set, &unit.prior(), "unit").1.map(ready).transpose()?)
 }
 
 /// Unit files of a folder by the names of their actuators, or one file.
@@ -170,7 +244,62 @@ pub fn draw_test(
     }
 }
 
-/// Simulates units of a prior and their tests. `Ok(None)` where it was interrupted.
+/// What simulated units of a prior say of maps: how features answer to the constants.
+struct Responses {
+    /// anywhere on the maps
+    surfaces: Option<ResponseSurfaces>,
+    /// of healthy units
+    baseline: Baseline,
+}
+
+/// Features that a unit's tests are judged by, and the scatter of each that the sensors make.
+fn kinds(set: &FailureMapSet) -> Vec<(Feature, f64)> {
+    // break-away comes in whole samples, also where all simulated units have the same
+    let maps = set.joint_of_unit().map(|m| (m.feature, m.budget.measurement()));
+    maps.chain(set.witnesses.iter().map(|w| (w.feature, w.budget.noise)))
+        .collect()
+}
+
+/// Deviations of a simulated unit, and the features of its test; `None` where it lacks one.
+fn sample(set: &FailureMapSet, spread: &Spread, u: &Unit, raw: &RawFeatures) -> Option<(Deviations, Vec<f64>)> {
+    let features = set.features(raw);
+    let values = kinds(set)
+        .into_iter()
+        .map(|(f, _)| features.get(f).filter(|x| x.is_finite()));
+    Some((deviations(spread, &u.draw), values.collect::<Option<Vec<f64>>>()?))
+}
+
+/// Draws of the parts of a campaign never meet, nor those of other campaigns.
+fn seeds(effort: UnitEffort) -> [u64; 3] {
+    [0x51u64, 0x52, 0x53].map(|kind| effort.seed.wrapping_mul(2).wrapping_add(kind << 48))
+}
+
+/// Simulates what depends on the rest angle. `Ok(None)` where it was interrupted.
+fn respond(set: &FailureMapSet, setup: &TestSetup, prior: &Constants, effort: UnitEffort) -> Result<Option<Responses>> {
+    let spread = prior.spread();
+    let (fsj, zeta) = range(set);
+    let seeds = seeds(effort);
+    let surface = draw_units(fsj, zeta, &spread, effort.surface_of(prior), seeds[0]);
+    let Some(surface_raw) = measure(setup, &spread, &surface, "response to the constants")? else {
+        return Ok(None);
+    };
+    let mut healthy = draw_units(fsj, zeta, &spread, effort.baseline, seeds[1]);
+    healthy.iter_mut().for_each(|u| u.fault = FaultState::NOMINAL);
+    let Some(healthy_raw) = measure(setup, &spread, &healthy, "healthy units")? else {
+        return Ok(None);
+    };
+    let samples: Vec<_> = healthy
+        .iter()
+        .zip(&healthy_raw)
+        .filter_map(|(u, raw)| sample(set, &spread, u, raw))
+        .collect();
+    Ok(Some(Responses {
+        surfaces: surfaces(&Diagnoser::bare_of_unit(set.clone()), &spread, &surface, &surface_raw),
+        baseline: Baseline::fit(&kinds(set), &samples),
+    }))
+}
+
+/// Simulates units of a prior and their tests, from the rest angle of the maps. `Ok(None)` where it was interrupted.
 ///
 /// # Errors
 /// As [`measure`], and refuses maps that a diagnoser refuses.
@@ -180,28 +309,19 @@ pub fn calibrate(
     prior: &Constants,
     effort: UnitEffort,
 ) -> Result<Option<UnitCalibration>> {
-    let spread = prior.spread();
+    calibrate_at(&[(set.clone(), setup)], prior, effort)
+}
+
+/// Units of a prior with a history, healthy tests first: the tests of each.
+fn histories(set: &FailureMapSet, prior: &Constants, effort: UnitEffort) -> Vec<Vec<Unit>> {
     let (fsj, zeta) = range(set);
-    // draws of the parts never meet, nor those of other campaigns
-    let seeds = [0x51u64, 0x52, 0x53].map(|kind| effort.seed.wrapping_mul(2).wrapping_add(kind << 48));
-    let surface = draw_units(fsj, zeta, &spread, effort.surface, seeds[0]);
-    let Some(surface_raw) = measure(setup, &spread, &surface, "response to the constants")? else {
-        return Ok(None);
-    };
-    let mut healthy = draw_units(fsj, zeta, &spread, effort.baseline, seeds[1]);
-    healthy.iter_mut().for_each(|u| u.fault = FaultState::NOMINAL);
-    let Some(healthy_raw) = measure(setup, &spread, &healthy, "healthy units")? else {
-        return Ok(None);
-    };
-    // units with a history: healthy tests first
+    let spread = prior.spread();
     let first = HISTORIES[HISTORIES.len() - 1];
-    let each = first + effort.tests;
-    let mut rng = ChaCha8Rng::seed_from_u64(seeds[2]);
+    let mut rng = ChaCha8Rng::seed_from_u64(seeds(effort)[2]);
     let root = prior.root();
-    let mut tests: Vec<Unit> = Vec::with_capacity(effort.units * each);
-    for _ in 0..effort.units {
+    let one = |_| {
         let own = draw_unit(prior, &root, &spread.half_width, &mut rng);
-        for k in 0..each {
+        let test = |k: usize| {
             let anywhere = |rng: &mut ChaCha8Rng| {
                 let (f, z) = (rng.random_range(fsj.0..fsj.1), rng.random_range(zeta.0..zeta.1));
                 if k < first {
@@ -210,72 +330,99 @@ pub fn calibrate(
                     FaultState { fsj: f, zeta: z }
                 }
             };
-            tests.push(draw_test(prior, own, &mut rng, anywhere));
-        }
-    }
-    let Some(raw) = measure(setup, &spread, &tests, "units with a history")? else {
-        return Ok(None);
+            draw_test(prior, own, &mut rng, anywhere)
+        };
+        (0..first + effort.tests).map(test).collect()
     };
+    (0..effort.units).map(one).collect()
+}
 
-    let kinds: Vec<(Feature, f64)> = set
-        .joint_of_unit()
-        // break-away comes in whole samples, also where all simulated units have the same
-        .map(|m| (m.feature, m.budget.measurement()))
-        .chain(set.witnesses.iter().map(|w| (w.feature, w.budget.noise)))
-        .collect();
-    let sample = |(u, raw): (&Unit, _)| -> Option<(Deviations, Vec<f64>)> {
-        let features = set.features(raw);
-        let values = kinds.iter().map(|(f, _)| features.get(*f).filter(|x| x.is_finite()));
-        Some((deviations(&spread, &u.draw), values.collect::<Option<Vec<f64>>>()?))
-    };
-    let samples: Vec<_> = healthy.iter().zip(&healthy_raw).filter_map(sample).collect();
+/// The same from several rest angles: the units are shared out among them, and what they say of the reach goes together.
+/// Surfaces and baseline are those of the first.
+///
+/// * `places` maps of the same features, and their tests
+fn calibrate_at(
+    places: &[(FailureMapSet, &TestSetup)],
+    prior: &Constants,
+    effort: UnitEffort,
+) -> Result<Option<UnitCalibration>> {
+    let spread = prior.spread();
+    let first = HISTORIES[HISTORIES.len() - 1];
+    let units = histories(&places[0].0, prior, effort);
     let mut common = Calibration {
         spread: spread.name.clone(),
         half_width: spread.half_width,
         friction_per_k: spread.friction_per_k,
         runs: effort.units * effort.tests,
-        surface_runs: effort.surface,
+        surface_runs: effort.surface_of(prior),
         seed: effort.seed,
-        maps: set.fingerprint(),
+        maps: places[0].0.fingerprint(),
         commit: COMMIT.into(),
         scores: Default::default(),
         misfits: vec![uncalibrated(COVERAGE).1],
         deviations: Vec::new(),
         strips: Vec::new(),
         kinetic: Vec::new(),
-        surfaces: surfaces(&Diagnoser::bare_of_unit(set.clone()), &spread, &surface, &surface_raw),
+        surfaces: None,
     };
-    let mut baseline = Baseline::fit(&kinds, &samples);
-    let of_unit = |k: usize| (&tests[k * each..(k + 1) * each], &raw[k * each..(k + 1) * each]);
-    let healthy_of = |k: usize| {
-        of_unit(k).0[..first]
-            .iter()
-            .zip(&of_unit(k).1[..first])
-            .filter_map(sample)
-    };
-    baseline.scatter(&(0..effort.units).map(|k| healthy_of(k).collect()).collect::<Vec<_>>());
-    let diagnoser = Diagnoser::with_factors(set.clone(), common.clone(), COVERAGE, &prior.factors(&Vec::new()))?;
-    let features = |k: usize, n: usize| {
-        of_unit(k).1[..n]
-            .iter()
-            .map(|r| set.features(r))
-            .collect::<Vec<Features>>()
-    };
-    let histories: Vec<usize> = std::iter::once(0).chain(HISTORIES).collect();
-    let mut strata = Vec::new();
-    for h in histories {
-        let one = |k: usize| {
-            let learnt = (h > 0).then(|| prior.after_healthy(&baseline, &features(k, h), &[]));
-            let constants = learnt.as_ref().map_or(prior, |l| &l.constants);
-            let d = diagnoser.again_with(&constants.factors(&Vec::new()));
-            let (units, raw) = of_unit(k);
-            (scores(&d, &units[first..], &raw[first..]), learnt.map(|l| l.misfit))
+    // of each angle: responses, its units, and the features of their tests
+    let mut all = Vec::new();
+    let (mut sum, mut free) = (Vec::new(), 0.0);
+    for (p, (set, setup)) in places.iter().enumerate() {
+        let Some(own) = respond(set, setup, prior, effort)? else {
+            return Ok(None);
         };
-        let all: Vec<_> = (0..effort.units).into_par_iter().map(one).collect();
-        let mut healthy_misfits: Vec<f64> = all.iter().filter_map(|a| a.1).collect();
+        let units: Vec<&Vec<Unit>> = units.iter().skip(p).step_by(places.len()).collect();
+        let tests: Vec<Unit> = units.iter().flat_map(|u| u.iter().cloned()).collect();
+        let Some(raw) = measure(setup, &spread, &tests, "units with a history")? else {
+            return Ok(None);
+        };
+        let raw: Vec<Vec<RawFeatures>> = raw.chunks(first + effort.tests).map(<[_]>::to_vec).collect();
+        let healthy = |(tests, raw): (&&Vec<Unit>, &Vec<RawFeatures>)| {
+            let each = tests[..first].iter().zip(raw);
+            each.filter_map(|(u, r)| sample(set, &spread, u, r)).collect()
+        };
+        let (s, f) = own
+            .baseline
+            .about_units(&units.iter().zip(&raw).map(healthy).collect::<Vec<_>>());
+        sum.resize(s.len(), 0.0);
+        sum.iter_mut().zip(s).for_each(|(a, b): (&mut f64, f64)| *a += b);
+        free += f;
+        all.push((own, units, raw));
+    }
+    let mut angles = Vec::new();
+    for ((set, _), (own, units, raw)) in places.iter().zip(&mut all) {
+        own.baseline.scatter(&sum, free);
+        let local = Calibration {
+            surfaces: own.surfaces.clone(),
+            maps: set.fingerprint(),
+            ..common.clone()
+        };
+        let diagnoser = Diagnoser::with_factors(set.clone(), local, COVERAGE, &prior.factors(&Vec::new()))?;
+        angles.push((set, &*own, diagnoser, &*units, &*raw));
+    }
+    let mut strata = Vec::new();
+    for h in std::iter::once(0).chain(HISTORIES) {
+        let mut scored = Vec::new();
+        for (set, own, diagnoser, units, raw) in &angles {
+            let one = |k: usize| {
+                let (tests, raw) = (&units[k], &raw[k]);
+                let features = || raw[..h].iter().map(|r| set.features(r)).collect();
+                let healthy = || HealthyTests {
+                    baseline: &own.baseline,
+                    features: features(),
+                };
+                let learnt = (h > 0).then(|| prior.after_healthy(&[healthy()], &[]));
+                let constants = learnt.as_ref().map_or(prior, |l| &l.constants);
+                let d = diagnoser.again_with(&constants.factors(&Vec::new()));
+                (scores(&d, &tests[first..], &raw[first..]), learnt.map(|l| l.misfit))
+            };
+            scored.extend((0..units.len()).into_par_iter().map(one).collect::<Vec<_>>());
+        }
+        let mut healthy_misfits: Vec<f64> = scored.iter().filter_map(|a| a.1).collect();
         healthy_misfits.sort_by(f64::total_cmp);
         let mut of = common.clone();
-        let flat: Vec<_> = all.into_iter().flat_map(|a| a.0).collect();
+        let flat: Vec<_> = scored.into_iter().flat_map(|a| a.0).collect();
         score_all(&mut of, &flat);
         if h == 0 {
             common = of;
@@ -289,6 +436,8 @@ pub fn calibrate(
             });
         }
     }
+    let Responses { surfaces, baseline } = all.swap_remove(0).0;
+    common.surfaces = surfaces;
     Ok(Some(UnitCalibration {
         common,
         baseline,
@@ -304,7 +453,12 @@ pub fn calibrate(
 /// # Errors
 /// As [`ready`].
 pub fn diagnoser(setup: &TestSetup, settings: &Settings, unit: &UnitFile, known: &Known) -> Result<Diagnoser> {
-    made(&request(setup, settings), unit, settings.choice.coverage, known)
+    made(
+        &request(setup, settings.grid.clone()),
+        unit,
+        settings.choice.coverage,
+        known,
+    )
 }
 
 /// The same from a request.
@@ -316,14 +470,17 @@ pub fn made(request: &MapRequest, unit: &UnitFile, coverage: f64, known: &Known)
     Ok(calibration.diagnoser(set, &unit.constants, unit.healthy(), coverage, known)?)
 }
 
-fn request(setup: &TestSetup, settings: &Settings) -> MapRequest {
+/// What maps of a unit's test are made for.
+///
+/// * `setup` of the unit's own model
+pub fn request(setup: &TestSetup, grid: FaultGrid) -> MapRequest {
     MapRequest {
         setup: TestSetup {
             rest_angle_rad: rounded_rest_angle(setup.rest_angle_rad),
             load_n_m: 0.0,
             ..setup.clone()
         },
-        grid: settings.grid.clone(),
+        grid,
     }
 }
 
@@ -411,9 +568,10 @@ pub fn to_json(unit: &UnitFile) -> serde_json::Value {
         serde_json::json!({
             "file": t.file, "healthy": t.healthy, "taken": t.is_taken(), "outcome": t.outcome, "reason": t.reason,
             "fsj": interval(t.fsj), "zeta": interval(t.zeta), "checksum": t.checksum, "commit": t.commit,
+            "repairs_before": t.repairs,
         })
     };
-    let last = unit.tests.iter().rev().find(|t| t.fsj.is_some());
+    let last = unit.tests.iter().rev().find(|t| t.fsj.is_some() && unit.is_present(t));
     serde_json::json!({
         "name": unit.name,
         "model": unit.source,
@@ -422,6 +580,7 @@ pub fn to_json(unit: &UnitFile) -> serde_json::Value {
         "reference": unit.reference(),
         "constants": constants(unit).into_iter().map(constant).collect::<Vec<_>>(),
         "present": last.map(test),
+        "repairs": unit.repairs.iter().map(|r| serde_json::json!({"part": r.part.name(), "note": r.note})).collect::<Vec<_>>(),
         "history": unit.tests.iter().map(test).collect::<Vec<_>>(),
     })
 }
@@ -452,11 +611,49 @@ impl Kinds {
         Ok(self.0.len() - 1)
     }
 
+    /// The kinds of a unit's tests that differ from one of them in the rest angle alone, itself included.
+    fn alike(&self, unit: &UnitFile, kind: &str) -> Vec<String> {
+        let of = |k: &str| unit.kinds.iter().find(|e| e.kind == k);
+        let own = of(kind);
+        let alike = unit.kinds.iter().filter(|e| own.is_some_and(|o| o.but_for_angle(e)));
+        alike.map(|e| e.kind.clone()).collect()
+    }
+
+    /// Healthy tests of a unit that differ from a kind in the rest angle alone, by place of their maps.
+    fn healthy(&self, unit: &UnitFile, kind: &str, counts: impl Fn(&TestEntry) -> bool) -> Vec<(usize, Vec<Features>)> {
+        let mut all = Vec::new();
+        for k in self.alike(unit, kind) {
+            let of_kind = unit
+                .tests
+                .iter()
+                .filter(|t| t.healthy && t.kind == k && unit.is_present(t) && counts(t));
+            let features: Vec<Features> = of_kind.map(TestEntry::features).collect();
+            let place = self.0.iter().position(|own| own.0 == k);
+            all.extend(place.filter(|_| !features.is_empty()).map(|p| (p, features)));
+        }
+        all
+    }
+
+    /// Adds a test to those of its maps.
+    fn with(all: &mut Vec<(usize, Vec<Features>)>, place: usize, features: &Features) {
+        match all.iter_mut().find(|a| a.0 == place) {
+            Some(a) => a.1.push(*features),
+            None => all.push((place, vec![*features])),
+        }
+    }
+
+    /// As [`after_healthy`].
+    fn learnt(&self, prior: &Constants, tests: &[(usize, Vec<Features>)]) -> Result<Constants, (f64, f64)> {
+        let of = |(place, features): &(usize, Vec<Features>)| (&self.0[*place].2, features.clone());
+        after_healthy(prior, &tests.iter().map(of).collect::<Vec<_>>())
+    }
+
     /// Those of all tests that a unit knows.
     fn all(&mut self, unit: &UnitFile, settings: &Settings) -> Result<()> {
-        for kind in &unit.kinds {
+        let counts = |k: &&KindEntry| unit.tests.iter().any(|t| t.kind == k.kind && unit.is_present(t));
+        for kind in unit.kinds.iter().filter(counts) {
             let setup = kind.setup("unit file", Arc::new(unit.actuator.clone()))?;
-            self.of(&request(&setup, settings), unit)?;
+            self.of(&request(&setup, settings.grid.clone()), unit)?;
         }
         Ok(())
     }
@@ -495,7 +692,7 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
         )
         .into());
     }
-    let request = request(&test.setup, &settings);
+    let request = request(&test.setup, settings.grid.clone());
     let place = kinds.of(&request, unit)?;
     let own = KindEntry::of(&request.setup);
     let kind = own.kind.clone();
@@ -514,25 +711,31 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
         zeta: None,
         features: TestEntry::named(&features),
         commit: COMMIT.into(),
+        repairs: unit.repairs.len(),
     };
     if !unit.kinds.iter().any(|k| k.kind == kind) {
         unit.kinds.push(own);
     }
     if healthy {
-        // with those of its kind that are known already; the constants are made anew from all
-        let mut all: Vec<Features> = healthy_of(unit, &kind);
-        all.push(features);
-        let judged = calibration.healthy(&unit.prior(), &all).map(|_| false);
+        // with those that are known already, from whatever rest angle; the constants are made anew from all
+        kinds.all(unit, &settings)?;
+        let mut all = kinds.healthy(unit, &kind, TestEntry::is_taken);
+        Kinds::with(&mut all, place, &features);
+        let judged = kinds.learnt(&unit.prior(), &all).map(|_| false);
         // refused ones that agree with this one, and speak against the model together
-        let refused = |t: &TestEntry| t.healthy && !t.is_taken() && t.kind == kind;
         let judged = judged.or_else(|e| {
-            all.extend(unit.tests.iter().filter(|t| refused(t)).map(TestEntry::features));
-            calibration.healthy(&unit.prior(), &all).map(|_| true).map_err(|_| e)
+            let mut all = kinds.healthy(unit, &kind, |_| true);
+            Kinds::with(&mut all, place, &features);
+            kinds.learnt(&unit.prior(), &all).map(|_| true).map_err(|_| e)
         });
         match judged {
             Ok(false) => {}
             Ok(true) => {
-                for t in unit.tests.iter_mut().filter(|t| refused(t)) {
+                let alike = kinds.alike(unit, &kind);
+                let repairs = unit.repairs.len();
+                let refused =
+                    |t: &&mut TestEntry| t.healthy && !t.is_taken() && t.repairs == repairs && alike.contains(&t.kind);
+                for t in unit.tests.iter_mut().filter(refused) {
                     (t.outcome, t.reason) = ("baseline".into(), String::new());
                 }
             }
@@ -550,7 +753,6 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
         if !refused.is_empty() {
             return Ok(Shown::Refused(refused));
         }
-        kinds.all(unit, &settings)?;
         relearn(unit, kinds)?;
         return Ok(Shown::Taken);
     }
@@ -582,28 +784,18 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
     })
 }
 
-fn healthy_of(unit: &UnitFile, kind: &str) -> Vec<Features> {
-    let of_kind = unit
-        .tests
-        .iter()
-        .filter(|t| t.healthy && t.is_taken() && t.kind == kind);
-    of_kind.map(TestEntry::features).collect()
-}
-
 /// The constants anew, from all tests: healthy ones first, then the others in their order.
-fn relearn(unit: &mut UnitFile, kinds: &mut Kinds) -> Result<()> {
+fn relearn(unit: &mut UnitFile, kinds: &Kinds) -> Result<()> {
     let mut constants = unit.prior();
-    let mut seen: Vec<&str> = Vec::new();
-    for t in unit.tests.iter().filter(|t| t.healthy && t.is_taken()) {
-        if seen.contains(&t.kind.as_str()) {
+    let mut seen: Vec<String> = Vec::new();
+    let healthy = |t: &&TestEntry| t.healthy && t.is_taken() && unit.is_present(t);
+    for t in unit.tests.iter().filter(healthy) {
+        if seen.contains(&t.kind) {
             continue;
         }
-        seen.push(&t.kind);
-        let Some((_, _, calibration)) = kinds.0.iter().find(|k| k.0 == t.kind) else {
-            continue;
-        };
-        // of another kind than those before, and at odds with them: the first kind counts
-        if let Ok(c) = calibration.healthy(&constants, &healthy_of(unit, &t.kind)) {
+        seen.extend(kinds.alike(unit, &t.kind));
+        // of another test than those before, and at odds with them: the first counts
+        if let Ok(c) = kinds.learnt(&constants, &kinds.healthy(unit, &t.kind, TestEntry::is_taken)) {
             constants = c;
         }
     }

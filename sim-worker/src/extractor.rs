@@ -72,7 +72,7 @@ impl Window {
 
 /// Which samples of a sequence carry which feature, and what they are compared with: made once
 /// per actuator, sequence and rate, shared by all extractors.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FeaturePlan {
     /// telemetry rate [Hz]
     pub rate_hz: f64,

@@ -28,7 +28,7 @@ pub(crate) fn torque_current(pole_pairs: f64, theta_m_rad: f64, phases: [f64; 3]
 }
 
 /// What the sine is expected to be like.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SineShape {
     /// P, as a number to calculate with
     pub pole_pairs: f64,

@@ -156,6 +156,29 @@ fn e2e_a_unit_with_a_healthy_test_is_diagnosed_relative_to_itself() {
     let later = diagnose(&a);
     assert!(inside(&later, "fsj", 2.6) && inside(&later, "zeta", 0.21), "{later}");
 
+    // a part is renewed: the tests stay in the history and no longer count
+    std::fs::copy(&a, r.path("repaired.json")).unwrap();
+    let repaired = r.path("repaired.json");
+    let repair = ["unit", "repair", text(&repaired), "--part"];
+    let now = json(&[&repair[..], &["transmission", "--note", "new ball screw", "--json"]].concat());
+    assert_eq!((&now["tests"], &now["healthy_tests"]), (&0.into(), &0.into()));
+    assert_eq!((&now["reference"], &now["present"]), (&"type".into(), &Value::Null));
+    assert_eq!(now["history"].as_array().unwrap().len(), 4);
+    assert_eq!(now["repairs"][0]["note"], "new ball screw");
+    let told = ok(&["unit", "show", text(&repaired)]);
+    assert!(
+        told.contains("repair    transmission, new ball screw: tests before it no longer count"),
+        "{told}"
+    );
+    // the new friction is learnt as the first was
+    ok(&[&["unit", "update", text(&repaired), text(&odd), "--healthy"], &grid[..]].concat());
+    let now = json(&["unit", "show", text(&repaired), "--json"]);
+    assert_eq!(
+        (&now["healthy_tests"], &now["history"][3]["repairs_before"]),
+        (&1.into(), &1.into())
+    );
+    assert_eq!(run(&[&repair[..], &["gears"]].concat()).status.code(), Some(2));
+
     refused(&["diagnose", text(&worn), "--unit", "none.json"], &["none.json"]);
     refused(&["unit", "show", text(&worn)], &["a unit file (ema unit new)"]);
     refused(
@@ -164,4 +187,69 @@ fn e2e_a_unit_with_a_healthy_test_is_diagnosed_relative_to_itself() {
     );
     let both = run(&["diagnose", text(&worn), "--unit", text(&a), "--spread", "fleet"]);
     assert_eq!(both.status.code(), Some(2));
+}
+
+#[test]
+fn e2e_a_fleet_is_diagnosed_by_unit_files_as_each_recording_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    // of the three one has no file, and one has a drawn resistance that its file's model does not know
+    let plan = "name = \"known\"\nseed = 5\ngrid = \"coarse\"\nsensors = \"reference\"\nrate_hz = 2000.0\n\
+        [aircraft]\ntails = [\"AB\", \"CD\", \"EF\"]\npositions = [\"left\"]\n\
+        [[actuators]]\ntail = \"CD\"\nposition = \"left\"\nphase_resistance_ohm = 1.07\n\
+        [tests]\nper_actuator = 2\n[telemetry]\nof = \"test\"\n";
+    std::fs::write(path("plan.toml"), plan).unwrap();
+    let data = path("data");
+    ok(&["dataset", "make", text(&path("plan.toml")), "--out", text(&data)]);
+    std::fs::create_dir(path("units")).unwrap();
+    for tail in ["AB.left", "CD.left"] {
+        let file = path("units").join(format!("{tail}.json"));
+        ok(&["unit", "new", text(&file), "--name", tail]);
+    }
+    let units = path("units");
+    let diagnose = [
+        "dataset",
+        "diagnose",
+        text(&data),
+        "--unit",
+        text(&units),
+        "--grid",
+        "standard",
+    ];
+    let done = ok(&diagnose);
+    assert!(done.contains("4 tests"), "{done}");
+    let told = run(&diagnose);
+    let told = String::from_utf8_lossy(&[told.stdout, told.stderr].concat()).into_owned();
+    assert!(told.contains("EF.left: no unit file of this name"), "{told}");
+    let ask = "SELECT run, actuator, outcome, fsj_lo, fsj_hi, zeta_lo, zeta_hi FROM diagnoses ORDER BY run";
+    let rows = json(&["query", ask, "--data", text(&data), "--format", "json"]);
+    let rows = rows.as_array().unwrap();
+    assert_eq!(rows.len(), 4);
+    for row in rows {
+        let tail = row["actuator"].as_str().unwrap();
+        let file = units.join(format!("{tail}.json"));
+        let number = row["run"].to_string();
+        let alone = json(&[
+            "diagnose",
+            text(&data),
+            "--run",
+            &number,
+            "--unit",
+            text(&file),
+            "--grid",
+            "standard",
+            "--json",
+        ]);
+        assert_eq!(alone["outcome"], row["outcome"], "{row} {alone}");
+        for fault in ["fsj", "zeta"] {
+            for end in ["lo", "hi"] {
+                let of_fleet = &row[format!("{fault}_{end}")];
+                assert_eq!(alone[fault][end].as_f64(), of_fleet.as_f64(), "{row} {alone}");
+            }
+        }
+    }
+    refused(
+        &["dataset", "diagnose", text(&data), "--unit", text(&path("nothing"))],
+        &["nothing"],
+    );
 }

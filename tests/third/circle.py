@@ -60,6 +60,8 @@ def main():
     a.add_argument("--from", dest="first", type=int, default=0)
     a.add_argument("--to", dest="last", type=int, default=10**9)
     a.add_argument("--work")
+    a.add_argument("--most", type=int, default=10**9, help="tests of each sort that are diagnosed of a unit: each rest angle needs maps of its own")
+    a.add_argument("--step", type=int, default=1, help="every so many units, from the first")
     a = a.parse_args()
     work = a.work or os.path.join(a.units, "work")
     folders = sorted((int(f.rsplit("-", 1)[1]), f) for f in glob.glob(os.path.join(a.units, "unit-*")))
@@ -67,12 +69,13 @@ def main():
     print("| unit | hidden | study | healthy tests taken | inside | not located | width FSJ %, median | width zeta | fresh healthy above 1.1 |")
     print("|---|---|---|---|---|---|---|---|---|")
     for k, folder in folders:
-        if not a.first <= k <= a.last:
+        if not a.first <= k <= a.last or (k - a.first) % a.step:
             continue
         own = os.path.join(work, f"unit-{k}")
         os.makedirs(own, exist_ok=True)
         cache, study, unit = (os.path.join(own, name) for name in ("cache", "study", "unit.json"))
         files = lambda name: sorted(glob.glob(os.path.join(folder, name)), key=lambda f: int(f.rsplit("_", 1)[1][:-4]))
+        some = lambda name: files(name)[: a.most]
         with open(os.path.join(folder, "truth.json")) as f:
             truth = json.load(f)
         effect = truth.get("effect")
@@ -82,11 +85,11 @@ def main():
         if os.path.exists(unit):
             os.remove(unit)
         _, said = run(a.ema, cache, "unit", "new", unit, "--study", study)
-        healthy = [f for f in files("healthy_[0-9]*.csv")]
+        healthy = files("healthy_[0-9]*.csv")
         run(a.ema, cache, "unit", "update", unit, *healthy, "--healthy")
         shown, _ = run(a.ema, cache, "unit", "show", unit, "--json")
         mine = []
-        for n, file in enumerate(files("test_*.csv")):
+        for n, file in enumerate(some("test_*.csv")):
             d, said = run(a.ema, cache, "diagnose", file, "--unit", unit, "--json")
             faults = truth["tests"][n]
             inside, found = judged(d, faults)
@@ -95,7 +98,7 @@ def main():
                 tell = [[round(d[f][key], 4) for key in ("lo", "estimate", "hi")] for f in ("fsj", "zeta")] if d.get("fsj", {}).get("lo") else said.strip()[:200]
                 print(f"    unit {k} test {n}: {d.get('outcome')} at {faults}: {tell} {','.join(d.get('contradicting') or [])}", flush=True)
         over = 0
-        for file in files("fresh_*.csv"):
+        for file in some("fresh_*.csv"):
             d, _ = run(a.ema, cache, "diagnose", file, "--unit", unit, "--json")
             lo = (d.get("fsj") or {}).get("lo")
             over += d.get("outcome") == "located" and lo is not None and lo > 1.1

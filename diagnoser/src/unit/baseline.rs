@@ -2,7 +2,7 @@
 //! (Box and Wilson 1951), fitted to simulated units.
 
 use crate::uncertainty::{Deviations, Regression, all_pairs};
-use schemas::feature::{Feature, Features};
+use schemas::feature::Feature;
 use serde::{Deserialize, Serialize};
 
 /// Samples for each coefficient, at least; with fewer no bends are fitted.
@@ -87,11 +87,11 @@ impl Baseline {
         }
     }
 
-    /// Takes the scatter from test to test from units with several healthy tests each: relays chatter differently at
-    /// another supply, and break-away comes in whole samples.
+    /// What scatters from test to test in units with several healthy tests each: by feature the sum of squares about each
+    /// unit's mean, and their degrees of freedom.
     ///
     /// * `units` of each unit the tests: deviations, and the features in the order of [`Baseline::fit`]
-    pub fn scatter(&mut self, units: &[Vec<(Deviations, Vec<f64>)>]) {
+    pub fn about_units(&self, units: &[Vec<(Deviations, Vec<f64>)>]) -> (Vec<f64>, f64) {
         let kinds = self.names.len();
         let (mut sum, mut free) = (vec![0.0; kinds], 0.0);
         for tests in units.iter().filter(|t| t.len() > 1) {
@@ -106,6 +106,14 @@ impl Baseline {
                 *sum += left.iter().map(|l| (l[k] - mean).powi(2)).sum::<f64>();
             }
         }
+        (sum, free)
+    }
+
+    /// Takes that scatter where it is more than that of the sensors: relays chatter differently at another supply, and
+    /// break-away comes in whole samples.
+    ///
+    /// * `sum`, `free` of [`Baseline::about_units`], of one rest angle or several
+    pub fn scatter(&mut self, sum: &[f64], free: f64) {
         if free > 0.0 {
             for (noise, sum) in self.noise.iter_mut().zip(sum) {
                 *noise = noise.max((sum / free).sqrt());
@@ -113,25 +121,17 @@ impl Baseline {
         }
     }
 
-    /// How much healthy tests differ among each other: mean square over the features, in what scatters from test to
-    /// test; about 1 for tests of one unit.
-    pub fn disagreement(&self, tests: &[Features]) -> f64 {
-        let expected = self.at(&Deviations::default());
-        let (mut sum, mut free) = (0.0, 0.0);
-        for e in expected.iter().filter(|e| e.noise > 0.0) {
-            let values: Vec<f64> = tests
-                .iter()
-                .filter_map(|t| t.get(e.feature))
-                .filter(|x| x.is_finite())
-                .collect();
-            if values.len() < 2 {
-                continue;
-            }
-            let mean = values.iter().sum::<f64>() / values.len() as f64;
-            sum += values.iter().map(|x| ((x - mean) / e.noise).powi(2)).sum::<f64>();
-            free += values.len() as f64 - 1.0;
-        }
-        if free > 0.0 { sum / free } else { f64::INFINITY }
+    /// Takes the scatter from test to test of the same features from another rest angle, where it is more.
+    pub(super) fn scatter_as(&mut self, other: &Self) {
+        self.noise
+            .iter_mut()
+            .zip(&other.noise)
+            .for_each(|(n, o)| *n = n.max(*o));
+    }
+
+    /// Features of the tests, in the order of [`Baseline::fit`].
+    pub fn features(&self) -> impl Iterator<Item = Feature> {
+        self.names.iter().filter_map(|n| Feature::from_name(n))
     }
 
     /// What a unit's healthy tests should give.
@@ -199,10 +199,11 @@ mod tests {
         assert!(e.systematic < 1e-4);
         // what differs from test to test is noise
         let mut b = b;
-        b.scatter(&[
+        let (sum, free) = b.about_units(&[
             vec![(x, vec![3.0]), (x, vec![3.2])],
             vec![(x, vec![5.0]), (x, vec![5.2])],
         ]);
+        b.scatter(&sum, free);
         assert!((b.at(&x)[0].noise - 0.2 / 2f64.sqrt()).abs() < 1e-9);
     }
 }

@@ -1,10 +1,9 @@
 //! The constants of a unit as its tests know them: a Gaussian, updated test by test.
 
-use super::baseline::Baseline;
 use crate::diagnosis::{Diagnoser, Known};
 use crate::uncertainty::{Deviations, Discrepancy, FRICTION, Factors};
-use nalgebra::{DMatrix, DVector};
-use schemas::feature::{Feature, Features};
+use nalgebra::DMatrix;
+use schemas::feature::Features;
 use schemas::fingerprint::{exact, fingerprint};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::spread::{Cause, Spread, of_uniform};
@@ -18,9 +17,6 @@ const WIDEST: f64 = 0.5;
 
 /// Step by which the response to the slope of friction over temperature is found, relative.
 const SLOPE_STEP: f64 = 1e-3;
-
-/// Gauss-Newton steps: responses are nearly straight.
-const STEPS: usize = 4;
 
 /// What is known of a unit's constants.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,24 +35,18 @@ pub struct Constants {
     pub discrepancy: Vec<Discrepancy>,
 }
 
-/// Constants after tests.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Learnt {
-    /// the posterior
-    pub constants: Constants,
-    /// squared residual in standard deviations, priors included, over the number of features: about 1
-    pub misfit: f64,
-    /// what is the same in all tests and no constant explains: feature, value in its unit, in standard deviations of what
-    /// the response surface leaves
-    pub left: Vec<(Feature, f64, f64)>,
-}
-
 /// Whether it is another one in each test of a unit.
 fn is_of_test(cause: Cause) -> bool {
     matches!(
         cause,
         Cause::Supply | Cause::Temperature | Cause::RestAngle | Cause::TestTemperature
     )
+}
+
+/// Whether it is a constant of a part, which another part has another value of: effects of a model are the study's.
+pub(super) fn renewable(cause: Cause) -> bool {
+    let of_effects = matches!(cause, Cause::EffectAmplitude | Cause::EffectShape | Cause::EffectGrowth);
+    !is_of_test(cause) && !of_effects
 }
 
 impl Constants {
@@ -132,7 +122,7 @@ impl Constants {
         }
     }
 
-    fn matrix(&self) -> DMatrix<f64> {
+    pub(super) fn matrix(&self) -> DMatrix<f64> {
         DMatrix::from_row_slice(self.causes.len(), self.causes.len(), &self.covariance)
     }
 
@@ -217,153 +207,6 @@ impl Constants {
         factors
     }
 
-    /// The posterior after healthy tests, all at once: the faults are 1 and 0 by definition, the supply another one in
-    /// each test, and what the response surface leaves is the same in all tests of the unit.
-    ///
-    /// * `wider` standard deviations of what else is the same in all tests, by feature: of the model itself
-    pub fn after_healthy(&self, baseline: &Baseline, tests: &[Features], wider: &[(Feature, f64)]) -> Learnt {
-        let expected = |x: &Deviations| {
-            let mut all = baseline.at(x);
-            for e in &mut all {
-                let more = wider.iter().filter(|w| w.0 == e.feature);
-                e.systematic = more.fold(e.systematic, |s, w| s.hypot(w.1));
-            }
-            all
-        };
-        let n = self.causes.len();
-        let m = self.of_test.len();
-        let kinds = baseline.at(&Deviations::default()).len();
-        // constants, what each test has of its own, systematic errors: in standard deviations but for the constants
-        let all = n + m * tests.len() + kinds;
-        let prior = self
-            .matrix()
-            .try_inverse()
-            .unwrap_or_else(|| DMatrix::from_diagonal(&self.matrix().diagonal().map(|x| 1.0 / x.max(1e-18))));
-        let mut x = DVector::<f64>::zeros(all);
-        (0..n).for_each(|i| x[i] = self.mean[i]);
-        let mut information = DMatrix::<f64>::zeros(all, all);
-        let mut cost = 0.0;
-        let mut rows = 0;
-        for step in 0..=STEPS {
-            information.fill(0.0);
-            let mut pull = DVector::<f64>::zeros(all);
-            let off = DVector::from_fn(n, |i, _| x[i] - self.mean[i]);
-            information.view_mut((0, 0), (n, n)).copy_from(&prior);
-            let back = &prior * &off;
-            cost = off.dot(&back);
-            (0..n).for_each(|i| pull[i] -= back[i]);
-            for i in n..all {
-                information[(i, i)] += 1.0;
-                pull[i] -= x[i];
-                cost += x[i] * x[i];
-            }
-            rows = 0;
-            for (j, features) in tests.iter().enumerate() {
-                let mut deviations = Deviations::default();
-                for (c, x) in self.causes.iter().zip(x.iter()) {
-                    add(&mut deviations, self.friction_per_k, *c, *x);
-                }
-                for (k, (c, h)) in self.of_test.iter().enumerate() {
-                    add(
-                        &mut deviations,
-                        self.friction_per_k,
-                        *c,
-                        x[n + j * m + k] * of_uniform(*h),
-                    );
-                }
-                for (k, e) in expected(&deviations).iter().enumerate() {
-                    let Some(y) = features.get(e.feature).filter(|y| y.is_finite()) else {
-                        continue;
-                    };
-                    let mut slope = DVector::<f64>::zeros(all);
-                    let along = |c: Cause| {
-                        c.acts_through(self.friction_per_k)
-                            .into_iter()
-                            .map(|(c, u)| u * e.slopes[c as usize])
-                            .sum::<f64>()
-                    };
-                    for (i, c) in self.causes.iter().enumerate() {
-                        slope[i] = along(*c);
-                    }
-                    for (i, (c, h)) in self.of_test.iter().enumerate() {
-                        slope[n + j * m + i] = along(*c) * of_uniform(*h);
-                    }
-                    slope[n + m * tests.len() + k] = e.systematic;
-                    let least = 1e-3 * e.systematic + 1e-12 * (1.0 + e.value.abs());
-                    let variance = e.noise * e.noise + least * least;
-                    let left = y - e.value - e.systematic * x[n + m * tests.len() + k];
-                    cost += left * left / variance;
-                    rows += 1;
-                    pull.axpy(left / variance, &slope, 1.0);
-                    information.ger(1.0 / variance, &slope, &slope, 1.0);
-                }
-            }
-            if step == STEPS {
-                break;
-            }
-            let Some(solver) = information.clone().cholesky() else {
-                break;
-            };
-            x += solver.solve(&pull);
-        }
-        let covariance = information.try_inverse().map(|c| c.view((0, 0), (n, n)).into_owned());
-        let covariance = covariance.unwrap_or_else(|| self.matrix());
-        let of_surface = baseline.at(&Deviations::default());
-        let widened = expected(&Deviations::default());
-        let left = widened.iter().zip(&of_surface).enumerate();
-        let left = left.map(|(k, (e, own))| {
-            let value = e.systematic * x[n + m * tests.len() + k];
-            (e.feature, value, value / own.systematic.max(1e-300))
-        });
-        Learnt {
-            left: left.collect(),
-            constants: Self {
-                causes: self.causes.clone(),
-                mean: x.iter().take(n).copied().collect(),
-                covariance: symmetric(&covariance),
-                of_test: self.of_test.clone(),
-                friction_per_k: self.friction_per_k,
-                discrepancy: self.discrepancy.clone(),
-            },
-            misfit: cost / f64::from(rows.max(1)),
-        }
-    }
-
-    /// Features of healthy tests, their mean, that lie beyond what constants, tests and sensors explain by so many standard
-    /// deviations, and by how much.
-    pub fn beyond(&self, baseline: &Baseline, tests: &[Features], sigmas: f64) -> Vec<(Feature, f64)> {
-        let mut middle = Deviations::default();
-        for (c, x) in self.causes.iter().zip(&self.mean) {
-            add(&mut middle, self.friction_per_k, *c, *x);
-        }
-        let covariance = self.matrix();
-        let one = |e: &super::Expected| {
-            let values: Vec<f64> = tests
-                .iter()
-                .filter_map(|t| t.get(e.feature))
-                .filter(|x| x.is_finite())
-                .collect();
-            let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-            let along = |c: Cause| {
-                c.acts_through(self.friction_per_k)
-                    .into_iter()
-                    .map(|(c, u)| u * e.slopes[c as usize])
-                    .sum::<f64>()
-            };
-            let slopes = DVector::from_iterator(self.causes.len(), self.causes.iter().map(|c| along(*c)));
-            let of_constants = slopes.dot(&(&covariance * &slopes));
-            let of_tests: f64 = self
-                .of_test
-                .iter()
-                .map(|(c, h)| (along(*c) * of_uniform(*h)).powi(2))
-                .sum();
-            let sd = (of_constants + of_tests + e.systematic * e.systematic + e.noise * e.noise).sqrt();
-            let off = (mean - e.value).abs();
-            (!values.is_empty() && off > sigmas * sd).then_some((e.feature, off))
-        };
-        baseline.at(&middle).iter().filter_map(one).collect()
-    }
-
     /// Whether tests at faults that nobody knows say more of the constants than is known: before any healthy test, or where
     /// only worn units show whether an effect grows with the fault. Beside a healthy test they say nothing (measured:
     /// errors of FSJ stayed as they were after 10 and 30, and what maps and responses err by, which is the same in all tests
@@ -422,14 +265,14 @@ fn widest(c: Cause) -> f64 {
     }
 }
 
-fn add(to: &mut Deviations, friction_per_k: f64, cause: Cause, x: f64) {
+pub(super) fn add(to: &mut Deviations, friction_per_k: f64, cause: Cause, x: f64) {
     for (through, per_unit) in cause.acts_through(friction_per_k) {
         to[through as usize] += per_unit * x;
     }
 }
 
 /// Row by row, what rounding left of asymmetry taken out.
-fn symmetric(c: &DMatrix<f64>) -> Vec<f64> {
+pub(super) fn symmetric(c: &DMatrix<f64>) -> Vec<f64> {
     let n = c.nrows();
     (0..n * n)
         .map(|k| 0.5 * (c[(k / n, k % n)] + c[(k % n, k / n)]))
@@ -439,54 +282,6 @@ fn symmetric(c: &DMatrix<f64>) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Two features that read resistance and healthy friction.
-    fn baseline(noise: f64) -> Baseline {
-        let samples: Vec<(Deviations, Vec<f64>)> = (0..300)
-            .map(|i| {
-                let mut x = Deviations::default();
-                x[Cause::Resistance as usize] = 0.05 * ((i * 37 % 300) as f64 / 150.0 - 1.0);
-                x[Cause::HealthyFriction as usize] = 0.2 * ((i * 91 % 300) as f64 / 150.0 - 1.0);
-                let (r, f) = (x[Cause::Resistance as usize], x[Cause::HealthyFriction as usize]);
-                (x, vec![1.0 + 0.8 * f, 2.0 - r + 0.1 * f])
-            })
-            .collect();
-        Baseline::fit(&[(Feature::P2, noise), (Feature::P3, noise)], &samples)
-    }
-
-    fn prior() -> Constants {
-        let mut spread = Spread::none();
-        spread.half_width[Cause::Resistance as usize] = 0.05;
-        spread.half_width[Cause::HealthyFriction as usize] = 0.2;
-        Constants::prior(&ActuatorParameters::reference(), &spread)
-    }
-
-    #[test]
-    fn prop_healthy_tests_find_the_constants_and_contradictions_are_seen() {
-        let (r, f) = (-0.03, 0.15);
-        let test = |d: f64| {
-            Features::default()
-                .with(Feature::P2, Some(1.0 + 0.8 * f + d))
-                .with(Feature::P3, Some(2.0 - r + 0.1 * f - d))
-        };
-        let b = baseline(1e-3);
-        let one = prior().after_healthy(&b, &[test(0.0)], &[]);
-        let (mean, sd) = one.constants.of(Cause::HealthyFriction).unwrap();
-        assert!((mean - f).abs() < 1e-3 && (1e-3..1.6e-3).contains(&sd), "{mean} {sd}");
-        let (mean, _) = one.constants.of(Cause::Resistance).unwrap();
-        assert!((mean - r).abs() < 1e-3, "{mean}");
-        // four say it twice as well
-        let four = prior().after_healthy(&b, &[0.0; 4].map(test), &[]);
-        let of = |l: &Learnt| l.constants.of(Cause::HealthyFriction).unwrap().1;
-        assert!((of(&one) / of(&four) - 2.0).abs() < 0.05, "{} {}", of(&one), of(&four));
-        assert!(four.misfit < 2.0, "{}", four.misfit);
-        assert!(prior().beyond(&b, &[test(0.0)], 3.0).is_empty());
-        let off = test(0.0).with(Feature::P3, Some(2.5));
-        assert!(matches!(prior().beyond(&b, &[off], 3.0)[..], [(Feature::P3, x)] if (x - 0.5).abs() < 1e-3));
-        // two that are not of one unit
-        let odd = prior().after_healthy(&b, &[test(0.0), test(0.1)], &[]);
-        assert!(odd.misfit > 100.0, "{}", odd.misfit);
-    }
 
     #[test]
     fn prop_a_study_is_a_prior_with_its_correlations() {

@@ -1,6 +1,7 @@
 //! The file of a unit: the model, every test that went in, and the posterior of the constants.
 
 use super::constants::Constants;
+use super::repair::{Repair, RepairedPart};
 use crate::seal;
 use crate::uncertainty::Discrepancy;
 use schemas::error::{Error, Result, write_whole};
@@ -47,6 +48,16 @@ impl KindEntry {
             rest_angle_rad: setup.rest_angle_rad,
             equivalent_current: setup.equivalent_current,
         }
+    }
+
+    /// Whether another kind differs in the rest angle alone, if in anything.
+    pub fn but_for_angle(&self, other: &Self) -> bool {
+        let turned = Self {
+            kind: self.kind.clone(),
+            rest_angle_rad: self.rest_angle_rad,
+            ..other.clone()
+        };
+        turned == *self
     }
 
     /// Of all that maps depend on.
@@ -98,6 +109,13 @@ pub struct TestEntry {
     pub features: Vec<(String, f64)>,
     /// revision of the program
     pub commit: String,
+    /// repairs of the unit before it
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub repairs: usize,
+}
+
+fn is_zero(n: &usize) -> bool {
+    *n == 0
 }
 
 impl TestEntry {
@@ -147,6 +165,8 @@ struct Stored {
     friction_per_k: Option<f64>,
     kinds: Vec<KindEntry>,
     tests: Vec<TestEntry>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    repairs: Vec<Repair>,
     posterior: Posterior,
 }
 
@@ -165,6 +185,8 @@ pub struct UnitFile {
     pub kinds: Vec<KindEntry>,
     /// every test that it was shown, in order
     pub tests: Vec<TestEntry>,
+    /// what was renewed, in order: tests before the last repair no longer count
+    pub repairs: Vec<Repair>,
     /// what is known now
     pub constants: Constants,
 }
@@ -190,28 +212,53 @@ impl UnitFile {
             spread,
             kinds: Vec::new(),
             tests: Vec::new(),
+            repairs: Vec::new(),
             constants,
         }
     }
 
-    /// What is known of the constants before any test.
+    /// What is known of the constants before any test that counts: of renewed parts no more than the type says.
     pub fn prior(&self) -> Constants {
-        Constants::prior(&self.actuator, &self.spread)
+        let own = Constants::prior(&self.actuator, &self.spread);
+        if self.repairs.is_empty() {
+            return own;
+        }
+        let mut of_type = self.actuator.clone();
+        of_type.uncertainty = Default::default();
+        let of_type = Constants::prior(&of_type, &self.spread);
+        self.repairs.iter().fold(own, |c, r| c.renewed(&of_type, r.part))
+    }
+
+    /// Records a repair: faults, and what the tests so far said of the constants, are forgotten; the tests stay in the
+    /// history.
+    pub fn repair(&mut self, part: RepairedPart, note: String) {
+        self.repairs.push(Repair { part, note });
+        self.constants = self.prior();
+    }
+
+    /// Tests since the last repair that went in, in order.
+    fn counted(&self) -> impl Iterator<Item = &TestEntry> {
+        self.tests.iter().filter(|t| t.is_taken() && self.is_present(t))
+    }
+
+    /// Whether a test is of the unit as it is now: since the last repair.
+    pub fn is_present(&self, t: &TestEntry) -> bool {
+        t.repairs == self.repairs.len()
     }
 
     /// Healthy tests that went in.
     pub fn healthy(&self) -> usize {
-        self.tests.iter().filter(|t| t.healthy && t.is_taken()).count()
+        self.counted().filter(|t| t.healthy).count()
     }
 
     /// Tests at faults that nobody knew that went in, in order.
     pub fn worn(&self) -> impl Iterator<Item = &TestEntry> {
-        self.tests.iter().filter(|t| !t.healthy && t.is_taken())
+        self.counted().filter(|t| !t.healthy)
     }
 
     /// All tests that went in.
     pub fn taken(&self) -> usize {
-        self.tests.iter().filter(|t| t.is_taken()).count()
+        self.counted().count()
     }
 
     /// What faults are relative to: `unit` with a healthy test, else `type`.
@@ -237,6 +284,7 @@ impl UnitFile {
             friction_per_k: Some(self.spread.friction_per_k).filter(|x| *x != 0.0),
             kinds: self.kinds.clone(),
             tests: self.tests.clone(),
+            repairs: self.repairs.clone(),
             posterior: Posterior {
                 causes: c.causes.iter().map(|c| c.key().to_string()).collect(),
                 mean: c.mean.clone(),
@@ -338,6 +386,7 @@ impl UnitFile {
             spread,
             kinds: s.kinds,
             tests: s.tests,
+            repairs: s.repairs,
             constants,
         };
         let prior = unit.prior();
@@ -387,6 +436,7 @@ mod tests {
             zeta: None,
             features: TestEntry::named(&features),
             commit: "none".into(),
+            repairs: 0,
         });
         u.constants.mean[0] = 0.01 / 3.0;
         u
@@ -433,6 +483,27 @@ mod tests {
         let read = UnitFile::load(&file).unwrap();
         assert_eq!(read.constants.mean[0], (0.01_f64 / 3.0).ln_1p());
         std::fs::remove_dir_all(&dir).unwrap();
+    }
+
+    #[test]
+    fn prop_a_repair_forgets_what_tests_said_and_keeps_their_history() {
+        let mut u = unit();
+        u.tests[0].healthy = true;
+        assert_eq!((u.taken(), u.healthy(), u.reference()), (1, 1, "unit"));
+        let before = u.prior();
+        u.repair(RepairedPart::Transmission, "new ball screw".into());
+        assert_eq!(
+            (u.taken(), u.healthy(), u.reference(), u.tests.len()),
+            (0, 0, "type", 1)
+        );
+        assert_eq!(u.constants, u.prior());
+        // nothing was studied: the type is what was known before
+        assert_eq!(u.prior(), before);
+        let path = std::env::temp_dir().join(format!("ema-unit-repair-{}.json", std::process::id()));
+        u.save(&path).unwrap();
+        let read = UnitFile::load(&path);
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(read.unwrap(), u);
     }
 
     #[test]

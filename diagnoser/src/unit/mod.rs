@@ -9,16 +9,20 @@
 mod baseline;
 mod constants;
 mod file;
+mod healthy;
+mod repair;
 
 pub use baseline::{Baseline, Expected};
-pub use constants::{Constants, Learnt};
+pub use constants::Constants;
 pub use file::{KindEntry, TestEntry, UnitFile};
+pub use healthy::{HealthyTests, Learnt};
+pub use repair::{Repair, RepairedPart};
 
 use crate::calibration::Calibration;
 use crate::diagnosis::{Diagnoser, Known};
 use crate::failure_map::FailureMapSet;
 use crate::seal;
-use crate::uncertainty::Discrepancy;
+use crate::uncertainty::{Discrepancy, ResponseSurfaces};
 use schemas::error::{Error, Result, write_whole};
 use schemas::feature::{Feature, Features};
 use serde::{Deserialize, Serialize};
@@ -100,6 +104,31 @@ impl UnitCalibration {
         c
     }
 
+    /// Whether it is of tests that are judged by the same features as these maps: only then it says how far their areas reach.
+    pub fn is_of(&self, maps: &FailureMapSet) -> bool {
+        let own = maps.joint_of_unit().map(|m| m.feature);
+        self.baseline
+            .features()
+            .eq(own.chain(maps.witnesses.iter().map(|w| w.feature)))
+    }
+
+    /// The same for tests from another rest angle.
+    ///
+    /// * `surfaces`, `baseline` responses to the constants there; what scatters from test to test is this one's
+    pub fn at(&self, maps: &FailureMapSet, surfaces: Option<ResponseSurfaces>, mut baseline: Baseline) -> Self {
+        baseline.scatter_as(&self.baseline);
+        let common = Calibration {
+            maps: maps.fingerprint(),
+            surfaces,
+            ..self.common.clone()
+        };
+        Self {
+            common,
+            baseline,
+            ..self.clone()
+        }
+    }
+
     /// Greatest misfit of healthy tests, over the number of their features, that they are taken with.
     pub fn healthy_gate(&self, healthy: usize) -> f64 {
         let Some(s) = self.stratum(healthy.max(1)).filter(|s| !s.healthy_misfits.is_empty()) else {
@@ -126,49 +155,6 @@ impl UnitCalibration {
     ) -> Result<Diagnoser> {
         let factors = constants.factors(known);
         Diagnoser::with_factors(maps, self.of(healthy), coverage, &factors)
-    }
-
-    /// Constants after healthy tests. Where they contradict the model, but not each other, and there are at least
-    /// [`BASELINES`] of them, the model is taken to be wrong in what is left of their features, if that is not much.
-    ///
-    /// # Errors
-    /// The misfit over the number of features, and the greatest that is allowed, where the tests contradict the
-    /// constants.
-    pub fn healthy(&self, prior: &Constants, tests: &[Features]) -> std::result::Result<Constants, (f64, f64)> {
-        let mut learnt = prior.after_healthy(&self.baseline, tests, &[]);
-        let gate = self.healthy_gate(tests.len());
-        let refused = (learnt.misfit, gate);
-        if learnt.misfit <= gate {
-            return Ok(learnt.constants);
-        }
-        if tests.len() < BASELINES || self.baseline.disagreement(tests) > AGREE {
-            return Err(refused);
-        }
-        // the features that nothing known of the unit explains; then those that stand out, until the rest agree
-        let mut wider = prior.beyond(&self.baseline, tests, BEYOND);
-        if !prior.beyond(&self.baseline, tests, MISSING).is_empty() {
-            // an effect is missing: what it does at other faults nobody knows
-            return Err(refused);
-        }
-        if !wider.is_empty() {
-            learnt = prior.after_healthy(&self.baseline, tests, &wider);
-        }
-        for _ in 0..WIDENINGS {
-            if learnt.misfit <= gate {
-                learnt.constants.discrepancy = discrepancy(&learnt, &wider);
-                return Ok(learnt.constants);
-            }
-            let worst = learnt.left.iter().map(|l| l.2.abs()).fold(0.0, f64::max);
-            for &(feature, value, sigmas) in learnt.left.iter().filter(|l| l.2.abs() >= 0.7 * worst) {
-                let own = 2.0 * value.abs().max((value / sigmas).abs());
-                match wider.iter_mut().find(|w| w.0 == feature) {
-                    Some(w) => w.1 = w.1.max(own),
-                    None => wider.push((feature, own)),
-                }
-            }
-            learnt = prior.after_healthy(&self.baseline, tests, &wider);
-        }
-        Err(refused)
     }
 
     /// Writes it as one JSON object, whole or not at all.
@@ -198,4 +184,60 @@ impl UnitCalibration {
         seal::check(path, &text, "ema diagnose --unit")?;
         Ok(c)
     }
+}
+
+/// Constants of a unit after healthy tests, from one rest angle or several. Where they contradict the model, but not each
+/// other, and there are at least [`BASELINES`] of them, the model is taken to be wrong in what is left of their features, if
+/// that is not much.
+///
+/// * `tests` of each rest angle, with what simulated units of it say
+///
+/// # Errors
+/// The misfit over the number of features, and the greatest that is allowed, where the tests contradict the constants.
+pub fn after_healthy(
+    prior: &Constants,
+    tests: &[(&UnitCalibration, Vec<Features>)],
+) -> std::result::Result<Constants, (f64, f64)> {
+    let groups: Vec<HealthyTests> = tests
+        .iter()
+        .map(|(c, features)| HealthyTests {
+            baseline: &c.baseline,
+            features: features.clone(),
+        })
+        .collect();
+    let count = tests.iter().map(|t| t.1.len()).sum();
+    let gate = tests.iter().map(|(c, _)| c.healthy_gate(count)).fold(0.0, f64::max);
+    let mut learnt = prior.after_healthy(&groups, &[]);
+    let refused = (learnt.misfit, gate);
+    if learnt.misfit <= gate {
+        return Ok(learnt.constants);
+    }
+    if count < BASELINES || healthy::disagreement(&groups) > AGREE {
+        return Err(refused);
+    }
+    // the features that nothing known of the unit explains; then those that stand out, until the rest agree
+    let mut wider = prior.beyond(&groups, BEYOND);
+    if !prior.beyond(&groups, MISSING).is_empty() {
+        // an effect is missing: what it does at other faults nobody knows
+        return Err(refused);
+    }
+    if !wider.is_empty() {
+        learnt = prior.after_healthy(&groups, &wider);
+    }
+    for _ in 0..WIDENINGS {
+        if learnt.misfit <= gate {
+            learnt.constants.discrepancy = discrepancy(&learnt, &wider);
+            return Ok(learnt.constants);
+        }
+        let worst = learnt.left.iter().map(|l| l.2.abs()).fold(0.0, f64::max);
+        for &(feature, value, sigmas) in learnt.left.iter().filter(|l| l.2.abs() >= 0.7 * worst) {
+            let own = 2.0 * value.abs().max((value / sigmas).abs());
+            match wider.iter_mut().find(|w| w.0 == feature) {
+                Some(w) => w.1 = w.1.max(own),
+                None => wider.push((feature, own)),
+            }
+        }
+        learnt = prior.after_healthy(&groups, &wider);
+    }
+    Err(refused)
 }

@@ -1,7 +1,7 @@
 //! `ema plan` and `ema dataset`.
 
 use super::{list, say, say_json};
-use crate::dataset::diagnose::{Diagnosed, Grounds, by_own_maps, by_type};
+use crate::dataset::diagnose::{Diagnosed, Grounds, by_own_maps, by_type, by_units};
 use crate::dataset::estimate::{estimate, to_json, to_text};
 use crate::dataset::{Dataset, export};
 use anyhow::Result;
@@ -97,6 +97,16 @@ pub struct DiagnoseArgs {
     /// Spread that the maps of the type are calibrated for (ema calibrate)
     #[arg(long, default_value = "fleet", requires = "maps")]
     spread: String,
+    /// Unit files (ema unit): a folder, or one; each actuator by the file of its name, relative to the healthy unit
+    ///
+    /// A name is TAIL.POSITION, or TAIL. Features are formed with the constants of the unit's model: from the telemetry of the
+    /// tests, which the plan must keep ([telemetry] with of = "test") unless they are those that the dataset was made with.
+    /// Actuators without a file are named and left out.
+    #[arg(long, value_name = "FILE_OR_FOLDER", conflicts_with = "maps")]
+    unit: Option<PathBuf>,
+    /// Fault grid of maps that are made on first use for a unit: name or file
+    #[arg(long, default_value = "fine", requires = "unit")]
+    grid: String,
 }
 
 #[derive(Args)]
@@ -253,9 +263,13 @@ fn check(a: &VerifyArgs) -> Result<ExitCode> {
 
 fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
     let d = Dataset::open(&a.dataset)?;
-    let done: Diagnosed = match &a.maps {
-        None => by_own_maps(&d)?,
-        Some(file) => {
+    let done: Diagnosed = match (&a.maps, &a.unit) {
+        (None, None) => by_own_maps(&d)?,
+        (None, Some(place)) => {
+            let units = crate::unit::folder(place)?;
+            by_units(&d, &units, &sim_worker::catalogue::grid(&a.grid)?)?
+        }
+        (Some(file), _) => {
             let choice = Choice {
                 spread: sim_worker::catalogue::spread(&a.spread)?,
                 coverage: COVERAGE,
@@ -264,13 +278,14 @@ fn diagnose(a: &DiagnoseArgs) -> Result<ExitCode> {
             by_type(&d, &choice.ready(&file, FailureMapSet::load(&file)?, &Vec::new())?)?
         }
     };
-    list("no maps:", &done.refused);
+    list("not diagnosed:", &done.refused);
     match done.grounds {
         Grounds::Halves(n) => say(&format!("calibrated with {n} tests of the other half each")),
         Grounds::Simulated(n) => say(&format!(
             "too few tests to calibrate by: calibrated with {n} simulated tests of the same actuators"
         )),
         Grounds::OfMaps => {}
+        Grounds::OfUnits => say("calibrated with simulated units like each"),
         Grounds::Design => say("the maps have no calibration: intervals reach as far as designed"),
     }
     say(&format!(

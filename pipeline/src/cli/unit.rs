@@ -5,7 +5,7 @@ use crate::case::{Settings, quoted};
 use crate::unit::{Beginning, Kinds, REFERENCE, Shown, begin, constants, show, to_json};
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use diagnoser::unit::UnitFile;
+use diagnoser::unit::{RepairedPart, TestEntry, UnitFile};
 use schemas::error::EXIT_LOSS;
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::spread::Cause;
@@ -19,6 +19,8 @@ pub enum UnitCommand {
     New(NewArgs),
     /// Show recordings of pre-flight tests to a unit
     Update(UpdateArgs),
+    /// Record that a part of a unit was renewed: its faults, and what its tests said, are forgotten
+    Repair(RepairArgs),
     /// What is known of a unit, and by which tests
     Show(ShowArgs),
 }
@@ -62,6 +64,24 @@ pub struct UpdateArgs {
 }
 
 #[derive(Args)]
+pub struct RepairArgs {
+    /// File of the unit
+    unit: PathBuf,
+    /// What was renewed: transmission (gears, ball screw), motor (winding, magnets, rotor, bearings) or all
+    ///
+    /// Its constants may be anything that units of the type have, until healthy tests of the repaired unit say more; faults are
+    /// relative to the type until then. Effects of the unit's model stay: where they may have changed, study the unit anew.
+    #[arg(long, value_parser = RepairedPart::ALL.map(|p| p.0))]
+    part: String,
+    /// What was done, in words, for the history
+    #[arg(long, default_value = "")]
+    note: String,
+    /// Keys for programs
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
 pub struct ShowArgs {
     /// File of the unit
     unit: PathBuf,
@@ -74,6 +94,14 @@ pub fn unit(c: &UnitCommand) -> Result<ExitCode> {
     match c {
         UnitCommand::New(a) => new(a),
         UnitCommand::Update(a) => update(a),
+        UnitCommand::Repair(a) => {
+            let mut unit = UnitFile::load(&a.unit)?;
+            let part = RepairedPart::ALL.into_iter().find(|p| p.0 == a.part);
+            unit.repair(part.expect("checked by the command line").1, a.note.clone());
+            unit.save(&a.unit)?;
+            told(&unit, a.json);
+            Ok(ExitCode::SUCCESS)
+        }
         UnitCommand::Show(a) => {
             let unit = UnitFile::load(&a.unit)?;
             told(&unit, a.json);
@@ -178,25 +206,39 @@ fn text(unit: &UnitFile) -> String {
             scale * before
         );
     }
-    for t in &unit.tests {
-        let found = match (t.fsj, t.zeta) {
-            (Some(f), Some(z)) => format!(
-                ", FSJ {:.3} in {:.3} .. {:.3}, zeta {:.4} in {:.4} .. {:.4}",
-                f.1, f.0, f.2, z.1, z.0, z.2
-            ),
-            _ => String::new(),
-        };
-        let kept = if t.is_taken() {
-            String::new()
-        } else {
-            format!(" (not taken: {})", t.reason)
-        };
-        let healthy = if t.healthy { "healthy, " } else { "" };
-        out += &format!(
-            "test      {}: {healthy}{}{found}{kept}\n",
-            t.file,
-            t.outcome.replace('_', " ")
-        );
+    for before in 0..=unit.repairs.len() {
+        let tests = unit.tests.iter().filter(|t| t.repairs == before);
+        out.extend(tests.map(line));
+        if let Some(r) = unit.repairs.get(before) {
+            let note = if r.note.is_empty() {
+                String::new()
+            } else {
+                format!(", {}", r.note)
+            };
+            out += &format!("repair    {}{note}: tests before it no longer count\n", r.part.name());
+        }
     }
     out
+}
+
+/// A test of the history.
+fn line(t: &TestEntry) -> String {
+    let found = match (t.fsj, t.zeta) {
+        (Some(f), Some(z)) => format!(
+            ", FSJ {:.3} in {:.3} .. {:.3}, zeta {:.4} in {:.4} .. {:.4}",
+            f.1, f.0, f.2, z.1, z.0, z.2
+        ),
+        _ => String::new(),
+    };
+    let kept = if t.is_taken() {
+        String::new()
+    } else {
+        format!(" (not taken: {})", t.reason)
+    };
+    let healthy = if t.healthy { "healthy, " } else { "" };
+    format!(
+        "test      {}: {healthy}{}{found}{kept}\n",
+        t.file,
+        t.outcome.replace('_', " ")
+    )
 }

@@ -1,4 +1,4 @@
-//! Diagnoses of a fleet's tests: by each actuator's own maps, or by those of the type.
+//! Diagnoses of a fleet's tests: by each actuator's own maps, by those of the type, or by its unit file.
 
 use super::maps::{maps_of, pairs};
 use super::{Dataset, Rows, grids, wear};
@@ -9,13 +9,17 @@ use arrow::datatypes::{DataType, Field, Schema};
 use diagnoser::calibration::{COVERAGE, Calibration};
 use diagnoser::diagnosis::{Diagnoser, Diagnosis, Outcome, Score};
 use diagnoser::failure_map::FailureMapSet;
+use diagnoser::unit::UnitFile;
 use schemas::error::Error;
-use schemas::fault::{FaultState, Interval};
+use schemas::fault::{FaultGrid, FaultState, Interval};
 use schemas::feature::{Features, RawFeatures};
 use schemas::table::table_bytes;
-use sim_worker::dataset::parts::Kind;
+use sim_worker::dataset::parts::{Kind, Part};
 use sim_worker::dataset::wear::WornTest;
+use sim_worker::noise::FeatureValues;
+use sim_worker::setup::TestSetup;
 use sim_worker::spread::{Cause, Spread};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Fewest tests of the fleet that a calibration is made from; with fewer, tests are simulated for it.
@@ -41,6 +45,8 @@ pub enum Grounds {
     Simulated(usize),
     /// the calibration that the maps of the type bring
     OfMaps,
+    /// simulated units like each of the units
+    OfUnits,
     /// nothing: intervals reach as far as designed
     Design,
 }
@@ -62,18 +68,22 @@ pub struct Diagnosed {
 fn tests<'a>(d: &'a Dataset, set: &'a FailureMapSet, rows: &'a [Rows<'a>]) -> impl Iterator<Item = Test> + 'a {
     let parts = rows.iter().filter(|r| r.part.kind == Kind::Test);
     parts.flat_map(move |r| {
-        r.part.runs.clone().zip(&r.values).map(move |(run, v)| {
-            let raw = RawFeatures::from_values(v.map(|x| x.0), Some(set.header.kind.rest_angle_rad));
-            Test {
-                run,
-                worn: d.plan.worn(r.part, run).copied(),
-                actuator: r.part.actuator,
-                sequence: r.part.sequence,
-                fault: d.plan.fault(r.part, run),
-                features: set.features(&raw),
-            }
-        })
+        let rest = Some(set.header.kind.rest_angle_rad);
+        let stored = move |v: &FeatureValues| RawFeatures::from_values(v.map(|x| x.0), rest);
+        let runs = r.part.runs.clone().zip(r.values.iter().map(stored));
+        runs.map(move |(run, raw)| test(d, set, r.part, run, &raw))
     })
+}
+
+fn test(d: &Dataset, set: &FailureMapSet, part: &Part, run: u64, raw: &RawFeatures) -> Test {
+    Test {
+        run,
+        worn: d.plan.worn(part, run).copied(),
+        actuator: part.actuator,
+        sequence: part.sequence,
+        fault: d.plan.fault(part, run),
+        features: set.features(raw),
+    }
 }
 
 /// An actuator with its maps.
@@ -136,11 +146,7 @@ fn simulated(d: &Dataset, sets: &[Own]) -> Result<Vec<Score>> {
 /// # Errors
 /// Refuses a plan without tests and a dataset that cannot be read; may be interrupted ([`crate::Interrupted`]).
 pub fn by_own_maps(d: &Dataset) -> Result<Diagnosed> {
-    let none = d.plan.tests_per_actuator == 0;
-    if none {
-        let allowed = "[tests] per_actuator of at least 1 in the plan";
-        return Err(Error::bad(d.storage.describe(), "runs", "no tests", allowed).into());
-    }
+    refuse_without_tests(d)?;
     let mut all: Vec<(usize, Test)> = Vec::new();
     let mut sets: Vec<Own> = Vec::new();
     let mut refused = Vec::new();
@@ -204,6 +210,77 @@ pub fn by_type(d: &Dataset, diagnoser: &Diagnoser) -> Result<Diagnosed> {
         None => Grounds::Design,
     };
     write(d, "type", &results, grounds, Vec::new())
+}
+
+/// Tests of actuators that are known, each by its own unit file. Features are formed with the constants of its model: from the
+/// telemetry, unless the dataset's were formed with the same. Actuators without a file are not diagnosed, and named.
+///
+/// * `units` by the names of their actuators
+/// * `grid` of maps that are made on first use
+///
+/// # Errors
+/// Refuses a plan without tests, one with a load, and a dataset that cannot be read; may be interrupted
+/// ([`crate::Interrupted`]).
+pub fn by_units(d: &Dataset, units: &BTreeMap<String, Arc<UnitFile>>, grid: &FaultGrid) -> Result<Diagnosed> {
+    refuse_without_tests(d)?;
+    if d.plan.load_n_m != 0.0 {
+        let allowed = "0: units know tests without a load";
+        return Err(Error::bad(d.storage.describe(), "load_n_m", d.plan.load_n_m, allowed).into());
+    }
+    let mut results: Vec<(Test, Diagnosis)> = Vec::new();
+    let mut refused = Vec::new();
+    d.each_actuator(|actuator, rows| {
+        let of_tests: Vec<&Rows> = rows.iter().filter(|r| r.part.kind == Kind::Test).collect();
+        let Some(first) = of_tests.first().map(|r| r.part) else {
+            return Ok(());
+        };
+        let id = &d.plan.actuators[actuator].id;
+        let Some(unit) = units.get(id) else {
+            refused.push(format!("{id}: no unit file of this name"));
+            return Ok(());
+        };
+        let stored = d.plan.setup(actuator, first.sequence, first.rest);
+        let setup = TestSetup {
+            actuator: Arc::new(unit.actuator.clone()),
+            ..stored.clone()
+        };
+        let request = crate::unit::request(&setup, grid.clone());
+        let diagnoser = crate::unit::made(&request, unit, COVERAGE, &Vec::new())?;
+        let plan = Arc::new(setup.feature_plan());
+        if plan.as_ref() == &stored.feature_plan() {
+            let one = |t: Test| {
+                let diagnosis = diagnoser.diagnose(&t.features, &[]);
+                (t, diagnosis)
+            };
+            results.extend(tests(d, &diagnoser.maps, rows).map(one));
+            return Ok(());
+        }
+        for part in of_tests.iter().map(|r| r.part) {
+            if !part.telemetry {
+                refused.push(format!(
+                    "{id}: its features were formed with other constants than its unit file's, and no telemetry was kept \
+                     ([telemetry] with of = \"test\" in the plan)"
+                ));
+                return Ok(());
+            }
+            for (run, raw) in part.runs.clone().zip(super::export::features(d, part, &plan)?) {
+                let t = test(d, &diagnoser.maps, part, run, &raw);
+                let diagnosis = diagnoser.diagnose(&t.features, &[]);
+                results.push((t, diagnosis));
+            }
+        }
+        Ok(())
+    })?;
+    let results: Vec<(&Test, Diagnosis)> = results.iter().map(|(t, r)| (t, r.clone())).collect();
+    write(d, "unit", &results, Grounds::OfUnits, refused)
+}
+
+fn refuse_without_tests(d: &Dataset) -> Result<()> {
+    if d.plan.tests_per_actuator > 0 {
+        return Ok(());
+    }
+    let allowed = "[tests] per_actuator of at least 1 in the plan";
+    Err(Error::bad(d.storage.describe(), "runs", "no tests", allowed).into())
 }
 
 fn write(

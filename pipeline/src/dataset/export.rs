@@ -5,17 +5,20 @@ use crate::output::Writer;
 use anyhow::Result;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::Error;
+use schemas::feature::RawFeatures;
 use schemas::recording::{Provenance, Recording};
 use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use sim_worker::command::CommandTrack;
 use sim_worker::dataset::parts::Part;
 use sim_worker::dataset::plan::KeptTelemetry;
+use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::setup::TestSetup;
 use std::path::Path;
+use std::sync::Arc;
 
-/// Works out the channels that are not stored, and passes one run on.
+/// Works out the channels that are not stored, and passes one run on, or all.
 struct Derive<'a> {
-    run: u64,
+    run: Option<u64>,
     wanted: ChannelSet,
     command: CommandTrack<'a>,
     steps_per_sample: f64,
@@ -30,7 +33,7 @@ struct Derive<'a> {
 
 impl TelemetrySink for Derive<'_> {
     fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> schemas::error::Result<()> {
-        if header.run != self.run {
+        if self.run.is_some_and(|run| run != header.run) {
             return Ok(());
         }
         let round = |x: f64| if self.single { f64::from(x as f32) } else { x };
@@ -154,10 +157,15 @@ impl<'a> KeptRun<'a> {
 
     /// Passes the run's samples on, with the channels that were not stored.
     pub fn replay(&self, to: &mut dyn TelemetrySink) -> Result<()> {
+        self.replay_of(Some(self.run), to)
+    }
+
+    /// The same of one run, or of all of its part.
+    fn replay_of(&self, run: Option<u64>, to: &mut dyn TelemetrySink) -> Result<()> {
         let plan = &self.d.plan;
         let actuator = &plan.actuators[self.part.actuator].parameters;
         let mut derive = Derive {
-            run: self.run,
+            run,
             wanted: self.channels,
             command: CommandTrack::new(&plan.sequences[self.part.sequence], actuator.step_s),
             steps_per_sample: 1.0 / (self.kept.rate_hz * actuator.step_s),
@@ -178,6 +186,40 @@ impl<'a> KeptRun<'a> {
         }
         Ok(())
     }
+}
+
+/// An extractor for each run of a part, in their order.
+struct Each {
+    first: u64,
+    extractors: Vec<FeatureExtractor>,
+}
+
+impl TelemetrySink for Each {
+    fn accept(&mut self, header: &TelemetryHeader, view: &TelemetryView<'_>) -> schemas::error::Result<()> {
+        let place = header.run.checked_sub(self.first).map(|k| k as usize);
+        match place.and_then(|k| self.extractors.get_mut(k)) {
+            Some(x) => x.accept(header, view),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Features of a part's runs from their telemetry, in their order: those of the dataset were formed with the constants of its
+/// own actuators.
+///
+/// * `plan` with other constants
+///
+/// # Errors
+/// Refuses a part whose telemetry was not kept, and one that cannot be read.
+pub(super) fn features(d: &Dataset, part: &Part, plan: &Arc<FeaturePlan>) -> Result<Vec<RawFeatures>> {
+    let kept = KeptRun::open(d, Some(part.runs.start))?;
+    let extractors = part.runs.clone().map(|_| FeatureExtractor::new(plan.clone())).collect();
+    let mut each = Each {
+        first: part.runs.start,
+        extractors,
+    };
+    kept.replay_of(None, &mut each)?;
+    Ok(each.extractors.iter().map(FeatureExtractor::features).collect())
 }
 
 /// Writes the telemetry of run number `run` to `out`, Parquet or CSV by its ending.

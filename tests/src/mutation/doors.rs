@@ -317,6 +317,7 @@ fn unit(actuator: &ActuatorParameters) -> UnitFile {
             zeta: (!healthy).then_some((0.29, 0.3, 0.31)),
             features: vec![("p2".into(), 0.125), ("p3".into(), 0.0625)],
             commit: String::new(),
+            repairs: 0,
         });
     }
     unit.constants.mean[0] = 0.0123;
