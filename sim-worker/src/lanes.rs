@@ -300,6 +300,9 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
     let mut st = state.clone();
     let mut sum = sums.clone();
     for &com in com {
+        if F & term::EFFECTS != 0 && fx.has_levels() {
+            fx.level(&k.th0, &st.th, &st.turn);
+        }
         // controller
         for l in 0..N {
             let w_ref = position::speed_reference::<ONE>(
@@ -317,7 +320,12 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 x_min: k.x_min[at::<SAME>(l)],
                 x_max: k.x_max[at::<SAME>(l)],
             };
-            (on.i_ref[l], st.x[l]) = speed::current_reference::<ONE>(&gains, w_ref - st.turn[l], st.x[l]);
+            let seen = if F & term::EFFECTS != 0 {
+                st.turn[l] * fx.felt.seen[l]
+            } else {
+                st.turn[l]
+            };
+            (on.i_ref[l], st.x[l]) = speed::current_reference::<ONE>(&gains, w_ref - seen, st.x[l]);
         }
         if F & term::EFFECTS != 0 {
             fx.delay(&mut on.i_ref);
@@ -334,9 +342,6 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             (on.k0[l], on.k1[l], on.k2[l]) = (coefficient(0), coefficient(1), coefficient(2));
         }
         if F & term::EFFECTS != 0 {
-            if fx.has_levels() {
-                fx.level(&k.th0, &st.th, &st.turn);
-            }
             if fx.is_electrical() {
                 for l in 0..N {
                     let felt = &fx.felt;

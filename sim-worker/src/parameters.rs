@@ -1,6 +1,6 @@
 //! Actuator parameters: TOML in, checked values out.
 
-use crate::effect::{self, Draw, Effect, REFERENCE_TEMPERATURE_DEGC};
+use crate::effect::{self, Draw, Effect, REFERENCE_TEMPERATURE_DEGC, Reads};
 use schemas::error::{Error, Result};
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::toml_section::{self, Section, quoted};
@@ -516,6 +516,9 @@ impl ActuatorParameters {
             }
             if e.draw != Draw::default() {
                 text += &format!(",draw,{}", e.draw.name());
+            }
+            if e.reads != Reads::default() {
+                text += &format!(",reads,{}", e.reads.name());
             }
         }
         fingerprint(&text)

@@ -206,7 +206,10 @@ impl<const N: usize> NumericalTestBench<N> {
                 let theta = k.th0[l] + st.th[l];
                 self.effects.lane(l).map_or(theta, |e| theta + e.angle_error(theta))
             }),
-            Channel::OmegaM => std::array::from_fn(|l| st.turn[l] * u.rad_per_s[l]),
+            Channel::OmegaM => std::array::from_fn(|l| {
+                let (omega, theta) = (st.turn[l] * u.rad_per_s[l], k.th0[l] + st.th[l]);
+                self.effects.lane(l).map_or(omega, |e| omega * e.seen_speed(theta))
+            }),
             Channel::IEq => mean(&sum.abs, &u.half_ampere),
             Channel::IA => mean(&sum.ia, &u.ampere),
             Channel::IB => mean(&sum.ib, &u.ampere),

@@ -193,10 +193,10 @@ fn e2e_a_unit_with_a_healthy_test_is_diagnosed_relative_to_itself() {
 fn e2e_a_fleet_is_diagnosed_by_unit_files_as_each_recording_is() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
-    // of the three one has no file, and one has a drawn resistance that its file's model does not know
+    // of the three one has no file, and of one the features were formed with another inertia than its file has
     let plan = "name = \"known\"\nseed = 5\ngrid = \"coarse\"\nsensors = \"reference\"\nrate_hz = 2000.0\n\
         [aircraft]\ntails = [\"AB\", \"CD\", \"EF\"]\npositions = [\"left\"]\n\
-        [[actuators]]\ntail = \"CD\"\nposition = \"left\"\nphase_resistance_ohm = 1.07\n\
+        [[actuators]]\ntail = \"CD\"\nposition = \"left\"\ninertia_kg_m2 = 2.6e-5\n\
         [tests]\nper_actuator = 2\n[telemetry]\nof = \"test\"\n";
     std::fs::write(path("plan.toml"), plan).unwrap();
     let data = path("data");

@@ -12,7 +12,7 @@ use diagnoser::report::versioned;
 use ema_study::measured::bench::is_recording;
 use ema_study::told::verify::Verification;
 use schemas::error::{EXIT_LOSS, Error};
-use sim_worker::effect::{Draw, PHASES};
+use sim_worker::effect::{Draw, PHASES, Reads};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -120,6 +120,9 @@ fn to_text(f: &Findings) -> String {
         }
         if e.draw == Draw::Legs {
             t += "  by the size of the legs' current, which no capacitor levels\n";
+        }
+        if e.reads == Reads::AngleAndSpeed {
+            t += "  in the measured speed too, which is of the same sensor\n";
         }
         if let Some(r) = &e.runner_up {
             t += &format!("  runner-up: {r}\n");

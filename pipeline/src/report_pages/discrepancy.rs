@@ -7,7 +7,7 @@ use super::discrepancy_figures::{
 use crate::report::{Layout, Lead, Report, Section, Table, TableRow, Tone, html};
 use anyhow::{Context as _, Result};
 use ema_study::told::findings::{ChannelGap, Findings, FoundEffect};
-use sim_worker::effect::{Draw, PHASES};
+use sim_worker::effect::{Draw, PHASES, Reads};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -155,6 +155,9 @@ fn effect(n: usize, e: &FoundEffect, blocks: &mut Blocks) -> Section {
     }
     if e.draw == Draw::Legs {
         text += "- The voltage goes by the size of the legs' current at every moment, not by the power that a link with a capacitor draws.\n";
+    }
+    if e.reads == Reads::AngleAndSpeed {
+        text += "- The measured speed is of the same sensor and has its error too; the speed loop acts on it.\n";
     }
     match &e.runner_up {
         Some(r) => text += &format!("- Runner-up: {}\n", line(r)),

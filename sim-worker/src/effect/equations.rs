@@ -2,7 +2,7 @@
 //! `kt i = J dw/dt + C w + friction + load + sum of effects`, voltages as
 //! `v = R i + L di/dt + ke w + sum of effects`.
 
-use super::{Draw, Effect, EffectKind};
+use super::{Draw, Effect, EffectKind, Reads};
 use crate::exponential::{exp, power, tanh};
 use crate::parameters::ActuatorParameters;
 use crate::trig;
@@ -113,10 +113,11 @@ pub(super) fn dead_time(volts: f64, i: f64) -> f64 {
     0.5 * volts * tanh(i / DEAD_TIME_A)
 }
 
-/// Angle of a sensor out of centre less the true one [rad].
+/// Angle of a sensor out of centre less the true one [rad], and the speed that it shows over the true one, less 1.
 #[inline(always)]
-pub(super) fn off_centre([amplitude, phase, _]: [f64; 3], theta: f64) -> f64 {
-    amplitude * trig::sin_cos(theta + phase).0
+pub(super) fn off_centre([amplitude, phase, _]: [f64; 3], theta: f64) -> (f64, f64) {
+    let (sin, cos) = trig::sin_cos(theta + phase);
+    (amplitude * sin, amplitude * cos)
 }
 
 /// `trap` of the paper: 0 to 1 over 0..30 electrical degrees, 1 to 150, to -1 at 210, -1 to 330,
@@ -301,7 +302,15 @@ impl Effect {
     /// Measured angle less the true one [rad].
     pub fn angle_error(&self, theta: f64) -> f64 {
         match self.kind {
-            EffectKind::EncoderEccentricity => off_centre(self.values, theta),
+            EffectKind::EncoderEccentricity => off_centre(self.values, theta).0,
+            _ => 0.0,
+        }
+    }
+
+    /// Measured speed over the true one, less 1, where the speed is that of the angle's sensor.
+    pub fn speed_error(&self, theta: f64) -> f64 {
+        match (self.kind, self.reads) {
+            (EffectKind::EncoderEccentricity, Reads::AngleAndSpeed) => off_centre(self.values, theta).1,
             _ => 0.0,
         }
     }

@@ -1,6 +1,6 @@
 //! An effect as a table `[[effect]]` of the actuator's file.
 
-use super::{Draw, Effect, EffectKind, Note};
+use super::{Draw, Effect, EffectKind, Note, Reads};
 use schemas::error::Result;
 use schemas::toml_section::{Section, quoted};
 
@@ -92,6 +92,17 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
                 _ => one_of(&mut t, "draw", "nothing: it is in no source", |_| None)?,
             };
         }
+        if t.may_have("reads") {
+            let reads = |name: &str| {
+                [Reads::Angle, Reads::AngleAndSpeed]
+                    .into_iter()
+                    .find(|r| r.name() == name)
+            };
+            e.reads = match kind {
+                EffectKind::EncoderEccentricity => one_of(&mut t, "reads", "angle or angle_and_speed", reads)?,
+                _ => one_of(&mut t, "reads", "nothing: it is in no sensor of the angle", |_| None)?,
+            };
+        }
         e.source = t.text_or("source", "assumed")?;
         if t.may_have("parent") {
             e.parent = Some(t.text("parent", "the fingerprint of an actuator")?);
@@ -149,6 +160,9 @@ impl Effect {
         }
         if self.draw != Draw::default() {
             out += &format!("draw = \"{}\"\n", self.draw.name());
+        }
+        if self.reads != Reads::default() {
+            out += &format!("reads = \"{}\"\n", self.reads.name());
         }
         out += &format!("source = {}\n", quoted(&self.source));
         if !self.provenance.is_empty() {

@@ -1,7 +1,7 @@
 //! The effects of an actuator, sorted by where they act, for test bench and simplified model.
 
 use super::equations::{self, REFERENCE_TEMPERATURE_DEGC};
-use super::{Constants, Dahl, DelayLine, Draw, Effect, EffectKind, Signals, TwoMass, commutation_share};
+use super::{Constants, Dahl, DelayLine, Draw, Effect, EffectKind, Reads, Signals, TwoMass, commutation_share};
 use crate::control::pick;
 use crate::lanes::Units;
 use crate::parameters::ActuatorParameters;
@@ -180,6 +180,10 @@ impl Injection {
                 let warm = a * (self.signals.temperature - REFERENCE_TEMPERATURE_DEGC);
                 [warm, self.constants.coulomb, self.constants.viscous]
             }
+            EffectKind::EncoderEccentricity => {
+                let of_speed = f64::from(u8::from(e.reads == Reads::AngleAndSpeed));
+                [a, e.values[1], of_speed]
+            }
             _ => e.values,
         }
     }
@@ -197,6 +201,11 @@ impl Injection {
     /// Measured angle less the true one [rad].
     pub fn angle_error(&self, theta: f64) -> f64 {
         self.encoder.iter().map(|e| e.angle_error(theta)).sum()
+    }
+
+    /// Measured speed over the true one.
+    pub fn seen_speed(&self, theta: f64) -> f64 {
+        1.0 + self.encoder.iter().map(|e| e.speed_error(theta)).sum::<f64>()
     }
 
     /// Electrical angle of the commutation less the true one [rad].
@@ -267,6 +276,8 @@ pub struct Felt<const N: usize> {
     pub emf: [[f64; N]; 3],
     /// angle that the commutation is off, in units of 30 electrical degrees
     pub error: [f64; N],
+    /// measured speed over the true one
+    pub seen: [f64; N],
     /// motor angle at the step's start
     pub th: [f64; N],
 }
@@ -358,6 +369,7 @@ impl<const N: usize> Default for LaneEffects<N> {
                 even: [0.0; N],
                 emf: [[ONE; N]; 3],
                 error: [0.0; N],
+                seen: [ONE; N],
                 th: [0.0; N],
             },
             electrical: false,
@@ -498,6 +510,7 @@ impl<const N: usize> LaneEffects<N> {
     #[inline(always)]
     pub fn level(&mut self, th0: &[f64; N], th: &[f64; N], turn: &[f64; N]) {
         let (mut friction, mut torque, mut ripple, mut angle) = ([0.0; N], [0.0; N], [1.0; N], [0.0; N]);
+        let mut seen = [1.0; N];
         let (mut theta, mut omega) = ([0.0; N], [0.0; N]);
         for l in 0..N {
             theta[l] = th0[l] + th[l];
@@ -569,7 +582,9 @@ impl<const N: usize> LaneEffects<N> {
                 }
                 EffectKind::EncoderEccentricity => {
                     for l in 0..N {
-                        angle[l] += equations::off_centre([a[l], b[l], d[l]], theta[l]);
+                        let (of_angle, of_speed) = equations::off_centre([a[l], b[l], d[l]], theta[l]);
+                        angle[l] += of_angle;
+                        seen[l] += d[l] * of_speed;
                     }
                 }
                 _ => {}
@@ -579,6 +594,7 @@ impl<const N: usize> LaneEffects<N> {
             self.felt.friction[l] = friction[l] * self.newton_metre[l];
             self.felt.torque[l] = torque[l] * self.newton_metre[l];
         }
+        self.felt.seen = seen;
         self.sum = Sum { friction, torque };
         if self.electrical {
             self.turn(&ripple, &angle);

@@ -54,6 +54,26 @@ impl Draw {
     }
 }
 
+/// What a sensor measures whose error an effect is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Reads {
+    /// the angle; the speed has a sensor of its own
+    #[default]
+    Angle,
+    /// the angle, and the speed from it: both have the error, and the speed loop acts on it
+    AngleAndSpeed,
+}
+
+impl Reads {
+    /// In files and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Angle => "angle",
+            Self::AngleAndSpeed => "angle_and_speed",
+        }
+    }
+}
+
 /// An effect with its parameters; SI units, motor side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effect {
@@ -75,6 +95,8 @@ pub struct Effect {
     pub sensor: Option<usize>,
     /// of `supply_sag`: what the source's voltage goes by
     pub draw: Draw,
+    /// of `encoder_eccentricity`: what the sensor measures
+    pub reads: Reads,
     /// fingerprint of the actuator to which the effect was added
     pub parent: Option<String>,
     /// how it was identified: data, runs, score, runner-up ...; keys in the order of the alphabet
@@ -95,6 +117,7 @@ impl Effect {
             grows: 0.0,
             sensor: None,
             draw: Draw::Power,
+            reads: Reads::Angle,
             parent: None,
             provenance: Vec::new(),
         }

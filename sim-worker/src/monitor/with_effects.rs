@@ -75,7 +75,12 @@ impl MonitorModel {
         let (low, high) = (free - volts / x.impedance, free + volts / x.impedance);
         let (gain, offset, i_max) = (e.gain, e.offset, self.i_max);
         let reachable = |measured: f64| limit((limit(measured, -i_max, i_max) - offset) / gain, low, high);
-        let late = e.delay.as_mut().map(|line| line.step(self.kp_kt * (w_ref - self.w)));
+        // what the loop takes for the speed, over the speed
+        let seen = e.seen_speed(s.theta);
+        let late = e
+            .delay
+            .as_mut()
+            .map(|line| line.step(self.kp_kt * (w_ref - seen * self.w)));
         // torque
         let kt = self.kt * share * e.saturation(x.i);
         let t_max = self.t_max;
@@ -112,8 +117,8 @@ impl MonitorModel {
             // as without effects, with what is measured in place of the current
             let inverse = 1.0 / (x.j_dt + x.viscous + slope);
             let driven = x.j_dt * self.w - against;
-            let inv_loop = 1.0 / (1.0 + self.kp_kt * kt * inverse / gain);
-            let at_once = self.kp_kt * (w_ref - (driven - kt * offset / gain) * inverse) * inv_loop;
+            let inv_loop = 1.0 / (1.0 + self.kp_kt * seen * kt * inverse / gain);
+            let at_once = self.kp_kt * (w_ref - seen * (driven - kt * offset / gain) * inverse) * inv_loop;
             i = reachable(late.unwrap_or(at_once));
             w = (driven + saturated(i)) * inverse;
             if dry && w * direction < 0.0 {

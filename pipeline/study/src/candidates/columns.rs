@@ -6,7 +6,7 @@ use crate::candidates::phases::{LEGS, of_phases};
 use crate::equations::pieces::{Column, Piece, RigConstants, wide};
 use crate::equations::samples::{rate_of, sharpened, shifted};
 use crate::equations::signals::{SUPPLY, Signals};
-use sim_worker::effect::{self, Draw, Effect, EffectKind, Equation};
+use sim_worker::effect::{self, Draw, Effect, EffectKind, Equation, Reads};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
@@ -495,6 +495,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
     let mut e = Effect::new(kind, &values).wrapped();
     match kind {
         EffectKind::SupplySag if shape.first() == Some(&LEGS) => e.draw = Draw::Legs,
+        EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => e.reads = Reads::AngleAndSpeed,
         EffectKind::CurrentGain => e.sensor = shape.first().map(|q| *q as usize),
         _ => {}
     }
@@ -517,7 +518,8 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Amplitude if e.kind == EffectKind::DeadTime => (vec![0.05], vec![v[0]]),
         Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
         Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {
-            (vec![], vec![v[0] * v[1].cos(), v[0] * v[1].sin(), 0.0, 0.0])
+            let of_speed = f64::from(u8::from(e.reads == Reads::AngleAndSpeed));
+            (vec![of_speed], vec![v[0] * v[1].cos(), v[0] * v[1].sin(), 0.0, 0.0])
         }
         Form::Periodic => (v[2..].to_vec(), vec![v[0] * v[1].cos(), -v[0] * v[1].sin()]),
         Form::Shape if e.kind == EffectKind::Backlash => (vec![v[0], 1e6, 0.0], vec![0.0, 0.0]),

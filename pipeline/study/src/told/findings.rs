@@ -2,7 +2,7 @@
 
 use crate::told::verify::Verification;
 use serde_json::{Map, Value, json};
-use sim_worker::effect::{Draw, EffectKind, PHASES};
+use sim_worker::effect::{Draw, EffectKind, PHASES, Reads};
 
 /// An identified number.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +46,8 @@ pub struct FoundEffect {
     pub sensor: Option<usize>,
     /// what a source with a resistance goes by
     pub draw: Draw,
+    /// of `encoder_eccentricity`: what the sensor measures
+    pub reads: Reads,
     /// channel in which the effect lives
     pub channel: String,
     /// gap of that channel on held-out data without it and with it; `None` where nothing was held out
@@ -260,6 +262,7 @@ impl Findings {
                     "alias": e.alias,
                     "sensor": e.sensor.map(|q| PHASES[q]),
                     "draw": (e.name == EffectKind::SupplySag.name()).then(|| e.draw.name()),
+                    "reads": (e.name == EffectKind::EncoderEccentricity.name()).then(|| e.reads.name()),
                     "channel": e.channel,
                     "heldout_before": e.heldout.map(|h| h.0),
                     "heldout_after": e.heldout.map(|h| h.1),

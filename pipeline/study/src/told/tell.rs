@@ -12,7 +12,7 @@ use crate::search::study::Outcome;
 use crate::search::verdict::{Verdict, shares};
 use crate::told::findings::*;
 use crate::told::places;
-use sim_worker::effect::{Draw, EffectKind, Equation, NORMAL_95};
+use sim_worker::effect::{Draw, EffectKind, Equation, NORMAL_95, Reads};
 
 /// The channel that an equation predicts.
 pub(super) fn channel(m: &Material, e: Equation) -> (&'static str, &'static str) {
@@ -251,6 +251,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                 }),
                 sensor: e.sensor,
                 draw: e.draw,
+                reads: e.reads,
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
         })
@@ -280,6 +281,7 @@ fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
         alias: None,
         sensor: b.sensor,
         draw: Draw::Power,
+        reads: Reads::Angle,
         channel: b.seen_in.to_string(),
         heldout: m.held.is_some().then_some((b.before, b.after)),
     }
