@@ -114,6 +114,29 @@ fn parse(more: &str) -> schemas::error::Result<ActuatorParameters> {
 }
 
 #[test]
+fn prop_an_angle_sensor_says_whether_the_speed_is_its_own_and_nothing_else_does() {
+    let angle = visible(EffectKind::EncoderEccentricity);
+    let both = Effect {
+        reads: Reads::AngleAndSpeed,
+        ..angle.clone()
+    };
+    assert!(!angle.to_toml().contains("reads"), "files of before stay as they are");
+    assert_eq!(parse(&both.to_toml()).unwrap().effects, std::slice::from_ref(&both));
+    assert_ne!(
+        parse(&both.to_toml()).unwrap().fingerprint(),
+        parse(&angle.to_toml()).unwrap().fingerprint()
+    );
+    for (of, wrong, allowed) in [
+        (&angle, "speed", "angle or angle_and_speed"),
+        (&visible(EffectKind::Cogging), "angle", "in no sensor of the angle"),
+    ] {
+        let text = format!("{}reads = \"{wrong}\"\n", of.to_toml());
+        let e = parse(&text).unwrap_err().to_string();
+        assert!(e.contains(allowed) && e.contains(wrong) && !e.contains('\n'), "{e}");
+    }
+}
+
+#[test]
 fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
     let power = visible(EffectKind::SupplySag);
     let legs = Effect {

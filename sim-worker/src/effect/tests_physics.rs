@@ -360,6 +360,18 @@ fn prop_effects_with_a_state_are_their_machines_driven_by_the_recorded_motion() 
         theta += r.omega[k] * DT;
         assert!((theta + e.angle_error(theta) - r.theta[k]).abs() < 1e-9);
     }
+    // where the speed is that sensor's too, the two agree, and the loop acts on it
+    let both = Effect {
+        reads: Reads::AngleAndSpeed,
+        ..e.clone()
+    };
+    let seen = record(&with(std::slice::from_ref(&both)), &com);
+    let mut theta = seen.theta[0];
+    for k in 1..com.len() {
+        theta += 0.5 * (seen.omega[k - 1] + seen.omega[k]) * DT;
+        assert!((theta - seen.theta[k]).abs() < 1e-4, "{k}: {theta} {}", seen.theta[k]);
+    }
+    assert!(difference(&seen.omega, &r.omega) > 0.0);
 }
 
 #[test]
