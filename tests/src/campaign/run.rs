@@ -287,6 +287,7 @@ mod tests {
                 ambiguous_with: vec!["compliance".into()],
                 sensor: None,
                 draw: Default::default(),
+                reads: Default::default(),
                 alias: None,
                 channel: "user_position".into(),
                 heldout: None,
