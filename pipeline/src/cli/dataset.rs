@@ -52,7 +52,7 @@ pub enum DatasetCommand {
     Verify(VerifyArgs),
     /// Build the failure maps of every actuator, or those of one into a folder for ema diagnose --maps; also: ema maps
     Maps(super::maps::MapsArgs),
-    /// Diagnose the random tests of every actuator, by its own maps or by those of its type
+    /// Diagnose the random tests of every actuator, by its own maps, by those of its type, or by its unit file
     Diagnose(DiagnoseArgs),
     /// Write the telemetry of one run as a recording, channels that were not stored included
     Export(ExportArgs),

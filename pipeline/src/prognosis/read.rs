@@ -456,7 +456,7 @@ fn cells(path: &Path, b: &RecordBatch, i: usize) -> Result<Vec<Cell>> {
     Ok((0..column.len()).map(of).collect())
 }
 
-/// The file in which histories are: a dataset has them in its diagnoses, by each actuator's own maps before those of the type.
+/// The file in which histories are: a dataset has them in its diagnoses, by each actuator's own maps before those by unit files and by maps of the type.
 ///
 /// # Errors
 /// A folder without any.
@@ -464,8 +464,8 @@ pub fn history_file(path: &Path) -> Result<PathBuf> {
     if !path.is_dir() {
         return Ok(path.into());
     }
-    let files = ["diagnoses/part-own.parquet", "diagnoses/part-type.parquet"].map(|f| path.join(f));
-    let [own, _] = &files;
+    let files = ["own", "unit", "type"].map(|by| path.join(format!("diagnoses/part-{by}.parquet")));
+    let [own, ..] = &files;
     let missing = || {
         Error::bad(
             path.display().to_string(),
