@@ -347,7 +347,7 @@ fn exit_code(code: i32) {
 }
 
 /// The commands with `--json`, and the schema of each; `ema query` has `--format json`.
-const TOLD: [(&str, &str); 14] = [
+const TOLD: [(&str, &str); 15] = [
     ("bench", "bench"),
     ("calibrate", "calibrate"),
     ("check", "check"),
@@ -360,6 +360,7 @@ const TOLD: [(&str, &str); 14] = [
     ("plan", "plan"),
     ("prognosis", "prognosis"),
     ("prognosis score", "prognosis_score"),
+    ("unit repair", "unit"),
     ("unit show", "unit"),
     ("unit update", "unit"),
 ];
@@ -431,6 +432,8 @@ fn e2e_diagnoses_units_and_studies_follow_their_schemas() {
     );
     assert_eq!(show()["history"].as_array().unwrap().len(), 1);
     assert!(diagnose(&["--unit", &unit])["unit"]["name"].is_string());
+    let repaired = checked("unit", &["unit", "repair", &unit, "--part", "motor", "--json"]);
+    assert_eq!(repaired["repairs"][0]["part"], "motor");
     let out = path("study");
     let study = [
         "discrepancy",

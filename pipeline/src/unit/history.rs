@@ -224,9 +224,17 @@ fn relearn(unit: &mut UnitFile, kinds: &Kinds) -> Result<()> {
             continue;
         }
         seen.extend(kinds.alike(unit, &t.kind));
+        let tests = kinds.healthy(unit, &t.kind, TestEntry::is_taken);
         // of another test than those before, and at odds with them: the first counts
-        if let Ok(c) = kinds.learnt(&constants, &kinds.healthy(unit, &t.kind, TestEntry::is_taken)) {
-            constants = c;
+        match kinds.learnt(&constants, &tests) {
+            Ok(c) => constants = c,
+            // taken one angle at a time, by a version before: so they are learnt from
+            Err(_) if tests.len() > 1 => {
+                for of_angle in tests {
+                    constants = kinds.learnt(&constants, &[of_angle]).unwrap_or(constants);
+                }
+            }
+            Err(_) => {}
         }
     }
     if constants.learn_when_worn(unit.healthy()) {
