@@ -219,22 +219,12 @@ impl Campaign {
     /// # Errors
     /// Refuses maps that [`Diagnoser::new`] refuses.
     pub fn calibrate(&self, set: &FailureMapSet) -> Result<Calibration> {
-        let mut calibration = Calibration {
-            spread: self.spread.name.clone(),
-            half_width: self.spread.half_width,
-            friction_per_k: self.spread.friction_per_k,
+        let effort = Effort {
             runs: self.scores.0.len(),
             surface_runs: self.surface.0.len(),
-            seed: self.effort.seed,
-            maps: set.fingerprint(),
-            commit: COMMIT.into(),
-            scores: Default::default(),
-            misfits: vec![uncalibrated(COVERAGE).1],
-            deviations: Vec::new(),
-            strips: Vec::new(),
-            kinetic: Vec::new(),
-            surfaces: self.surfaces(set),
+            ..self.effort
         };
+        let mut calibration = unscored(&self.spread, effort, set.fingerprint(), self.surfaces(set));
         let diagnoser = Diagnoser::new(set.clone(), Some(calibration.clone()), COVERAGE, &Vec::new())?;
         let one = |(u, raw): (&Unit, &RawFeatures)| {
             let (features, own) = (set.features(raw), knowing(&diagnoser, &self.spread, u));
@@ -339,6 +329,33 @@ pub(crate) fn scores(diagnoser: &Diagnoser, units: &[Unit], measured: &[RawFeatu
         diagnoser.score(&features, u.fault.fsj, u.fault.zeta)
     };
     units.iter().zip(measured).filter_map(score).collect()
+}
+
+/// A calibration that has no scores yet.
+///
+/// * `maps` fingerprint of its maps
+pub(crate) fn unscored(
+    spread: &Spread,
+    effort: Effort,
+    maps: String,
+    surfaces: Option<ResponseSurfaces>,
+) -> Calibration {
+    Calibration {
+        spread: spread.name.clone(),
+        half_width: spread.half_width,
+        friction_per_k: spread.friction_per_k,
+        runs: effort.runs,
+        surface_runs: effort.surface_runs,
+        seed: effort.seed,
+        maps,
+        commit: COMMIT.into(),
+        scores: Default::default(),
+        misfits: vec![uncalibrated(COVERAGE).1],
+        deviations: Vec::new(),
+        strips: Vec::new(),
+        kinetic: Vec::new(),
+        surfaces,
+    }
 }
 
 /// Fills a calibration with the scores of tests, whatever it had.

@@ -138,6 +138,13 @@ impl FailureMapSet {
         self.maps.iter().filter(move |m| !m.feature.parts().is_some_and(has))
     }
 
+    /// Features that a unit's tests are judged by, and the scatter of each that the sensors make.
+    pub fn judged_of_unit(&self) -> impl Iterator<Item = (Feature, f64)> + '_ {
+        // break-away comes in whole samples, also where all simulated units have the same
+        let maps = self.joint_of_unit().map(|m| (m.feature, m.budget.measurement()));
+        maps.chain(self.witnesses.iter().map(|w| (w.feature, w.budget.noise)))
+    }
+
     /// Whether all maps can be inverted together, and all witnesses compared.
     ///
     /// # Errors

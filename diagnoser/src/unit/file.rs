@@ -51,7 +51,7 @@ impl KindEntry {
     }
 
     /// Whether another kind differs in the rest angle alone, if in anything.
-    pub fn but_for_angle(&self, other: &Self) -> bool {
+    fn but_for_angle(&self, other: &Self) -> bool {
         let turned = Self {
             kind: self.kind.clone(),
             rest_angle_rad: self.rest_angle_rad,
@@ -227,6 +227,13 @@ impl UnitFile {
         of_type.uncertainty = Default::default();
         let of_type = Constants::prior(&of_type, &self.spread);
         self.repairs.iter().fold(own, |c, r| c.renewed(&of_type, r.part))
+    }
+
+    /// The kinds of its tests that differ from one of them in the rest angle alone, itself included.
+    pub fn alike(&self, kind: &str) -> Vec<String> {
+        let own = self.kinds.iter().find(|e| e.kind == kind);
+        let alike = self.kinds.iter().filter(|e| own.is_some_and(|o| o.but_for_angle(e)));
+        alike.map(|e| e.kind.clone()).collect()
     }
 
     /// Records a repair: faults, and what the tests so far said of the constants, are forgotten; the tests stay in the

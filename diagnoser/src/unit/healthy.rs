@@ -16,7 +16,7 @@ pub struct HealthyTests<'a> {
     /// of the maps of that angle
     pub baseline: &'a Baseline,
     /// one a test
-    pub features: Vec<Features>,
+    pub features: &'a [Features],
 }
 
 /// Constants after tests.
@@ -260,11 +260,8 @@ mod tests {
         Constants::prior(&ActuatorParameters::reference(), &spread)
     }
 
-    fn tests<'a>(baseline: &'a Baseline, features: &[Features]) -> HealthyTests<'a> {
-        HealthyTests {
-            baseline,
-            features: features.to_vec(),
-        }
+    fn tests<'a>(baseline: &'a Baseline, features: &'a [Features]) -> HealthyTests<'a> {
+        HealthyTests { baseline, features }
     }
 
     #[test]
@@ -304,11 +301,12 @@ mod tests {
                 .with(Feature::P2, Some(1.0 + 0.8 * f))
                 .with(Feature::P3, Some(2.0 + up - r + 0.1 * f + d))
         };
-        let groups = |off: [f64; 3]| {
-            let each = angles.iter().zip([0.0, 0.7, -0.4]).zip(off);
-            each.map(|((b, up), d)| tests(b, &[test(up, d)])).collect::<Vec<_>>()
-        };
-        let plain = groups([0.0; 3]);
+        let measured = |off: [f64; 3]| [[test(0.0, off[0])], [test(0.7, off[1])], [test(-0.4, off[2])]];
+        let all = [[0.0; 3], [0.5; 3], [0.5, -0.5, 0.1]].map(measured);
+        let [plain, off, other] = all.each_ref().map(|m| {
+            let each = angles.iter().zip(m);
+            each.map(|(b, features)| tests(b, features)).collect::<Vec<_>>()
+        });
         let learnt = prior().after_healthy(&plain, &[]);
         let (mean, sd) = learnt.constants.of(Cause::HealthyFriction).unwrap();
         assert!(
@@ -317,7 +315,6 @@ mod tests {
         );
         assert!(learnt.misfit < 2.0 && disagreement(&plain) < 1e-3);
         // the same shift at all angles: the model is off by it, whatever constants may be
-        let off = groups([0.5; 3]);
         assert!(disagreement(&off) < 1e-3, "{}", disagreement(&off));
         let beyond = prior().beyond(&off, 3.0);
         assert!(
@@ -333,6 +330,6 @@ mod tests {
         );
         assert!((learnt.constants.of(Cause::HealthyFriction).unwrap().0 - f).abs() < 2e-3);
         // another one at each: they are not of one unit
-        assert!(disagreement(&groups([0.5, -0.5, 0.1])) > 100.0);
+        assert!(disagreement(&other) > 100.0);
     }
 }

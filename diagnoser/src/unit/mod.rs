@@ -106,10 +106,7 @@ impl UnitCalibration {
 
     /// Whether it is of tests that are judged by the same features as these maps: only then it says how far their areas reach.
     pub fn is_of(&self, maps: &FailureMapSet) -> bool {
-        let own = maps.joint_of_unit().map(|m| m.feature);
-        self.baseline
-            .features()
-            .eq(own.chain(maps.witnesses.iter().map(|w| w.feature)))
+        self.baseline.features().eq(maps.judged_of_unit().map(|k| k.0))
     }
 
     /// The same for tests from another rest angle.
@@ -196,13 +193,13 @@ impl UnitCalibration {
 /// The misfit over the number of features, and the greatest that is allowed, where the tests contradict the constants.
 pub fn after_healthy(
     prior: &Constants,
-    tests: &[(&UnitCalibration, Vec<Features>)],
+    tests: &[(&UnitCalibration, &[Features])],
 ) -> std::result::Result<Constants, (f64, f64)> {
     let groups: Vec<HealthyTests> = tests
         .iter()
         .map(|(c, features)| HealthyTests {
             baseline: &c.baseline,
-            features: features.clone(),
+            features,
         })
         .collect();
     let count = tests.iter().map(|t| t.1.len()).sum();

@@ -160,16 +160,8 @@ fn update(a: &UpdateArgs) -> Result<ExitCode> {
                 Shown::Again => "known already".into(),
                 Shown::Refused(reason) => format!("changes nothing: {reason}"),
             };
-            let last = unit.tests.last();
-            let found = last
-                .and_then(|t| Some((t.fsj?, t.zeta?)))
-                .filter(|_| what == Shown::Taken);
-            let faults = found.map_or(String::new(), |(f, z)| {
-                format!(
-                    ", FSJ {:.3} in {:.3} .. {:.3}, zeta {:.4} in {:.4} .. {:.4}",
-                    f.1, f.0, f.2, z.1, z.0, z.2
-                )
-            });
+            let last = unit.tests.last().filter(|_| what == Shown::Taken);
+            let faults = last.map_or(String::new(), located);
             say(&format!("{}: {words}{faults}", path.display()));
         }
         shown.push(what);
@@ -221,15 +213,20 @@ fn text(unit: &UnitFile) -> String {
     out
 }
 
-/// A test of the history.
-fn line(t: &TestEntry) -> String {
-    let found = match (t.fsj, t.zeta) {
+/// The faults of a test that was located.
+fn located(t: &TestEntry) -> String {
+    match (t.fsj, t.zeta) {
         (Some(f), Some(z)) => format!(
             ", FSJ {:.3} in {:.3} .. {:.3}, zeta {:.4} in {:.4} .. {:.4}",
             f.1, f.0, f.2, z.1, z.0, z.2
         ),
         _ => String::new(),
-    };
+    }
+}
+
+/// A test of the history.
+fn line(t: &TestEntry) -> String {
+    let found = located(t);
     let kept = if t.is_taken() {
         String::new()
     } else {

@@ -2,7 +2,7 @@
 
 use super::maps::{maps_of, pairs};
 use super::{Dataset, Rows, grids, wear};
-use crate::calibrate::{Effort, draw_units, measure, range, score_all, scores};
+use crate::calibrate::{Effort, draw_units, measure, range, score_all, scores, unscored};
 use anyhow::Result;
 use arrow::array::{Array, ArrayRef, Float64Array, RecordBatch, StringArray, TimestampMicrosecondArray, UInt64Array};
 use arrow::datatypes::{DataType, Field, Schema};
@@ -18,7 +18,7 @@ use sim_worker::dataset::parts::{Kind, Part};
 use sim_worker::dataset::wear::WornTest;
 use sim_worker::noise::FeatureValues;
 use sim_worker::setup::TestSetup;
-use sim_worker::spread::{Cause, Spread};
+use sim_worker::spread::Spread;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -96,22 +96,12 @@ struct Own {
 
 /// A calibration from the scores of tests.
 fn calibration(scores: &[Score]) -> Calibration {
-    let mut c = Calibration {
-        spread: Spread::none().name,
-        half_width: [0.0; Cause::COUNT],
-        friction_per_k: 0.0,
+    let effort = Effort {
         runs: scores.len(),
         surface_runs: 0,
         seed: 0,
-        maps: String::new(),
-        commit: crate::COMMIT.into(),
-        scores: Default::default(),
-        misfits: Vec::new(),
-        deviations: Vec::new(),
-        strips: Vec::new(),
-        kinetic: Vec::new(),
-        surfaces: None,
     };
+    let mut c = unscored(&Spread::none(), effort, String::new(), None);
     score_all(&mut c, scores);
     c
 }
@@ -227,7 +217,7 @@ pub fn by_units(d: &Dataset, units: &BTreeMap<String, Arc<UnitFile>>, grid: &Fau
         let allowed = "0: units know tests without a load";
         return Err(Error::bad(d.storage.describe(), "load_n_m", d.plan.load_n_m, allowed).into());
     }
-    let mut results: Vec<(Test, Diagnosis)> = Vec::new();
+    let (mut all, mut diagnoses) = (Vec::new(), Vec::new());
     let mut refused = Vec::new();
     d.each_actuator(|actuator, rows| {
         let of_tests: Vec<&Rows> = rows.iter().filter(|r| r.part.kind == Kind::Test).collect();
@@ -247,31 +237,33 @@ pub fn by_units(d: &Dataset, units: &BTreeMap<String, Arc<UnitFile>>, grid: &Fau
         let request = crate::unit::request(&setup, grid.clone());
         let diagnoser = crate::unit::made(&request, unit, COVERAGE, &Vec::new())?;
         let plan = Arc::new(setup.feature_plan());
-        if plan.as_ref() == &stored.feature_plan() {
-            let one = |t: Test| {
-                let diagnosis = diagnoser.diagnose(&t.features, &[]);
-                (t, diagnosis)
+        let maps = &diagnoser.maps;
+        let of_unit: Vec<Test> = if *plan == stored.feature_plan() {
+            tests(d, maps, rows).collect()
+        } else if of_tests.iter().all(|r| r.part.telemetry) {
+            let of_part = |r: &&Rows| -> Result<Vec<Test>> {
+                let runs = r.part.runs.clone().zip(super::export::features(d, r.part, &plan)?);
+                Ok(runs.map(|(run, raw)| test(d, maps, r.part, run, &raw)).collect())
             };
-            results.extend(tests(d, &diagnoser.maps, rows).map(one));
+            of_tests
+                .iter()
+                .map(of_part)
+                .collect::<Result<Vec<_>>>()?
+                .into_iter()
+                .flatten()
+                .collect()
+        } else {
+            refused.push(format!(
+                "{id}: its features were formed with other constants than its unit file's, and no telemetry was kept \
+                 ([telemetry] with of = \"test\" in the plan)"
+            ));
             return Ok(());
-        }
-        for part in of_tests.iter().map(|r| r.part) {
-            if !part.telemetry {
-                refused.push(format!(
-                    "{id}: its features were formed with other constants than its unit file's, and no telemetry was kept \
-                     ([telemetry] with of = \"test\" in the plan)"
-                ));
-                return Ok(());
-            }
-            for (run, raw) in part.runs.clone().zip(super::export::features(d, part, &plan)?) {
-                let t = test(d, &diagnoser.maps, part, run, &raw);
-                let diagnosis = diagnoser.diagnose(&t.features, &[]);
-                results.push((t, diagnosis));
-            }
-        }
+        };
+        diagnoses.extend(of_unit.iter().map(|t| diagnoser.diagnose(&t.features, &[])));
+        all.extend(of_unit);
         Ok(())
     })?;
-    let results: Vec<(&Test, Diagnosis)> = results.iter().map(|(t, r)| (t, r.clone())).collect();
+    let results: Vec<(&Test, Diagnosis)> = all.iter().zip(diagnoses).collect();
     write(d, "unit", &results, Grounds::OfUnits, refused)
 }
 

@@ -1,12 +1,11 @@
 //! Simulated units like one unit: how features answer to the constants at each rest angle, and how far areas must reach.
 
-use crate::COMMIT;
-use crate::calibrate::{Unit, draw_units, measure, range, score_all, scores, surfaces};
+use crate::calibrate::{Effort, Unit, draw_units, measure, range, score_all, scores, surfaces, unscored};
 use crate::case::Settings;
 use crate::maps::{self, MapRequest};
 use crate::progress::note;
 use anyhow::Result;
-use diagnoser::calibration::{COVERAGE, Calibration, uncalibrated};
+use diagnoser::calibration::{COVERAGE, Calibration};
 use diagnoser::diagnosis::{Diagnoser, Known, Score};
 use diagnoser::failure_map::FailureMapSet;
 use diagnoser::map_library::rounded_rest_angle;
@@ -17,7 +16,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use schemas::fault::{FaultGrid, FaultState};
-use schemas::feature::{Feature, RawFeatures};
+use schemas::feature::{Features, RawFeatures};
 use sim_worker::setup::TestSetup;
 use sim_worker::spread::{Cause, Spread};
 use std::path::{Path, PathBuf};
@@ -91,19 +90,21 @@ pub fn ready(request: &MapRequest, unit: &UnitFile) -> Result<(FailureMapSet, Un
     let effort = UnitEffort::QUICK;
     let runs = effort.runs(&prior);
     let reach = reach(request, &prior, effort)?.filter(|r| r.is_of(&set));
-    let Some(reach) = reach else {
+    let made = match reach {
+        Some(reach) => {
+            note(&format!("responses at this rest angle ({} runs, kept)", runs.0));
+            let own = respond(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
+            reach.at(&set, own.surfaces, own.baseline)
+        }
         // another choice of features than elsewhere: what is known of it is known here alone
-        note(&format!(
-            "simulating units like this one ({} runs, once)",
-            runs.0 + runs.1
-        ));
-        let made = calibrate(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
-        made.save(&file)?;
-        return Ok((set, made));
+        None => {
+            note(&format!(
+                "simulating units like this one ({} runs, once)",
+                runs.0 + runs.1
+            ));
+            calibrate(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?
+        }
     };
-    note(&format!("responses at this rest angle ({} runs, kept)", runs.0));
-    let own = respond(&set, &request.setup, &prior, effort)?.ok_or(crate::Interrupted)?;
-    let made = reach.at(&set, own.surfaces, own.baseline);
     made.save(&file)?;
     Ok((set, made))
 }
@@ -125,14 +126,15 @@ fn reach(request: &MapRequest, prior: &Constants, effort: UnitEffort) -> Result<
     if let Some(c) = kept {
         return Ok(Some(c));
     }
-    let mut places = vec![(first, &requests[0].setup)];
+    let mut sets = vec![first];
     for r in &requests[1..] {
-        places.push((maps::made(&maps::cached_in(r)?, r)?, &r.setup));
+        sets.push(maps::made(&maps::cached_in(r)?, r)?);
     }
-    let features = |set: &FailureMapSet| kinds(set).into_iter().map(|k| k.0).collect::<Vec<_>>();
-    if places.iter().any(|(set, _)| features(set) != features(&places[0].0)) {
+    let features = |set: &FailureMapSet| set.judged_of_unit().map(|k| k.0).collect::<Vec<_>>();
+    if sets.iter().any(|set| features(set) != features(&sets[0])) {
         return Ok(None);
     }
+    let places: Vec<_> = sets.iter().zip(requests.iter().map(|r| &r.setup)).collect();
     let (each, all) = effort.runs(prior);
     note(&format!(
         "simulating units like this one ({} runs, once for all rest angles)",
@@ -219,19 +221,11 @@ struct Responses {
     baseline: Baseline,
 }
 
-/// Features that a unit's tests are judged by, and the scatter of each that the sensors make.
-fn kinds(set: &FailureMapSet) -> Vec<(Feature, f64)> {
-    // break-away comes in whole samples, also where all simulated units have the same
-    let maps = set.joint_of_unit().map(|m| (m.feature, m.budget.measurement()));
-    maps.chain(set.witnesses.iter().map(|w| (w.feature, w.budget.noise)))
-        .collect()
-}
-
 /// Deviations of a simulated unit, and the features of its test; `None` where it lacks one.
 fn sample(set: &FailureMapSet, spread: &Spread, u: &Unit, raw: &RawFeatures) -> Option<(Deviations, Vec<f64>)> {
     let features = set.features(raw);
-    let values = kinds(set)
-        .into_iter()
+    let values = set
+        .judged_of_unit()
         .map(|(f, _)| features.get(f).filter(|x| x.is_finite()));
     Some((deviations(spread, &u.draw), values.collect::<Option<Vec<f64>>>()?))
 }
@@ -262,7 +256,7 @@ fn respond(set: &FailureMapSet, setup: &TestSetup, prior: &Constants, effort: Un
         .collect();
     Ok(Some(Responses {
         surfaces: surfaces(&Diagnoser::bare_of_unit(set.clone()), &spread, &surface, &surface_raw),
-        baseline: Baseline::fit(&kinds(set), &samples),
+        baseline: Baseline::fit(&set.judged_of_unit().collect::<Vec<_>>(), &samples),
     }))
 }
 
@@ -276,7 +270,7 @@ pub fn calibrate(
     prior: &Constants,
     effort: UnitEffort,
 ) -> Result<Option<UnitCalibration>> {
-    calibrate_at(&[(set.clone(), setup)], prior, effort)
+    calibrate_at(&[(set, setup)], prior, effort)
 }
 
 /// Units of a prior with a history, healthy tests first: the tests of each.
@@ -365,11 +359,12 @@ impl<'a> Angle<'a> {
     /// Scores of each unit's tests at random faults after so many healthy ones, and the misfit of those, where there are any.
     fn scored(&self, diagnoser: &Diagnoser, prior: &Constants, healthy: usize) -> Vec<(Vec<Score>, Option<f64>)> {
         let one = |(tests, raw): (&Vec<Unit>, &Vec<RawFeatures>)| {
-            let tests_before = || HealthyTests {
+            let features: Vec<Features> = raw[..healthy].iter().map(|r| self.set.features(r)).collect();
+            let before = HealthyTests {
                 baseline: &self.own.baseline,
-                features: raw[..healthy].iter().map(|r| self.set.features(r)).collect(),
+                features: &features,
             };
-            let learnt = (healthy > 0).then(|| prior.after_healthy(&[tests_before()], &[]));
+            let learnt = (healthy > 0).then(|| prior.after_healthy(&[before], &[]));
             let constants = learnt.as_ref().map_or(prior, |l| &l.constants);
             let d = diagnoser.again_with(&constants.factors(&Vec::new()));
             let scores = scores(&d, &tests[HEALTHY..], &raw[HEALTHY..]);
@@ -384,28 +379,18 @@ impl<'a> Angle<'a> {
 ///
 /// * `places` maps of the same features, and their tests
 fn calibrate_at(
-    places: &[(FailureMapSet, &TestSetup)],
+    places: &[(&FailureMapSet, &TestSetup)],
     prior: &Constants,
     effort: UnitEffort,
 ) -> Result<Option<UnitCalibration>> {
     let spread = prior.spread();
-    let units = histories(&places[0].0, prior, effort);
-    let mut common = Calibration {
-        spread: spread.name.clone(),
-        half_width: spread.half_width,
-        friction_per_k: spread.friction_per_k,
+    let units = histories(places[0].0, prior, effort);
+    let own = Effort {
         runs: effort.units * effort.tests,
         surface_runs: effort.surface_of(prior),
         seed: effort.seed,
-        maps: places[0].0.fingerprint(),
-        commit: COMMIT.into(),
-        scores: Default::default(),
-        misfits: vec![uncalibrated(COVERAGE).1],
-        deviations: Vec::new(),
-        strips: Vec::new(),
-        kinetic: Vec::new(),
-        surfaces: None,
     };
+    let mut common = unscored(&spread, own, places[0].0.fingerprint(), None);
     let mut angles = Vec::new();
     let (mut sum, mut free) = (Vec::new(), 0.0);
     for (p, (set, setup)) in places.iter().enumerate() {

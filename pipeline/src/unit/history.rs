@@ -41,18 +41,10 @@ impl Kinds {
         Ok(self.0.len() - 1)
     }
 
-    /// The kinds of a unit's tests that differ from one of them in the rest angle alone, itself included.
-    fn alike(&self, unit: &UnitFile, kind: &str) -> Vec<String> {
-        let of = |k: &str| unit.kinds.iter().find(|e| e.kind == k);
-        let own = of(kind);
-        let alike = unit.kinds.iter().filter(|e| own.is_some_and(|o| o.but_for_angle(e)));
-        alike.map(|e| e.kind.clone()).collect()
-    }
-
     /// Healthy tests of a unit that differ from a kind in the rest angle alone, by place of their maps.
     fn healthy(&self, unit: &UnitFile, kind: &str, counts: impl Fn(&TestEntry) -> bool) -> Vec<(usize, Vec<Features>)> {
         let mut all = Vec::new();
-        for k in self.alike(unit, kind) {
+        for k in unit.alike(kind) {
             let of_kind = unit
                 .tests
                 .iter()
@@ -74,8 +66,11 @@ impl Kinds {
 
     /// As [`after_healthy`].
     fn learnt(&self, prior: &Constants, tests: &[(usize, Vec<Features>)]) -> Result<Constants, (f64, f64)> {
-        let of = |(place, features): &(usize, Vec<Features>)| (&self.0[*place].2, features.clone());
-        after_healthy(prior, &tests.iter().map(of).collect::<Vec<_>>())
+        let of_maps: Vec<_> = tests
+            .iter()
+            .map(|(place, f)| (&self.0[*place].2, f.as_slice()))
+            .collect();
+        after_healthy(prior, &of_maps)
     }
 
     /// Those of all tests that a unit knows.
@@ -149,19 +144,18 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
     if healthy {
         // with those that are known already, from whatever rest angle; the constants are made anew from all
         kinds.all(unit, &settings)?;
-        let mut all = kinds.healthy(unit, &kind, TestEntry::is_taken);
-        Kinds::with(&mut all, place, &features);
-        let judged = kinds.learnt(&unit.prior(), &all).map(|_| false);
-        // refused ones that agree with this one, and speak against the model together
-        let judged = judged.or_else(|e| {
-            let mut all = kinds.healthy(unit, &kind, |_| true);
+        let with_this = |counts: fn(&TestEntry) -> bool| {
+            let mut all = kinds.healthy(unit, &kind, counts);
             Kinds::with(&mut all, place, &features);
-            kinds.learnt(&unit.prior(), &all).map(|_| true).map_err(|_| e)
-        });
+            kinds.learnt(&unit.prior(), &all)
+        };
+        // refused ones may agree with this one, and speak against the model together
+        let judged = with_this(TestEntry::is_taken).map(|_| false);
+        let judged = judged.or_else(|e| with_this(|_| true).map(|_| true).map_err(|_| e));
         match judged {
             Ok(false) => {}
             Ok(true) => {
-                let alike = kinds.alike(unit, &kind);
+                let alike = unit.alike(&kind);
                 let repairs = unit.repairs.len();
                 let refused =
                     |t: &&mut TestEntry| t.healthy && !t.is_taken() && t.repairs == repairs && alike.contains(&t.kind);
@@ -223,7 +217,7 @@ fn relearn(unit: &mut UnitFile, kinds: &Kinds) -> Result<()> {
         if seen.contains(&t.kind) {
             continue;
         }
-        seen.extend(kinds.alike(unit, &t.kind));
+        seen.extend(unit.alike(&t.kind));
         let tests = kinds.healthy(unit, &t.kind, TestEntry::is_taken);
         // of another test than those before, and at odds with them: the first counts
         match kinds.learnt(&constants, &tests) {

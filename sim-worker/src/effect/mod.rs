@@ -6,6 +6,7 @@ mod equations;
 mod file;
 mod inject;
 mod kind;
+mod over_lanes;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -18,8 +19,9 @@ pub use equations::{
     COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, flux, shape,
 };
 pub use file::{MOST, PHASES, read};
-pub use inject::{Felt, Injection, LaneEffects};
+pub use inject::Injection;
 pub use kind::{EffectKind, Equation, ParameterKey};
+pub use over_lanes::{Felt, LaneEffects};
 pub use state::{Dahl, DelayLine, Play, TwoMass};
 
 /// Standard deviations from the middle to either end of the intervals of identified values: 95 % of a normal distribution.

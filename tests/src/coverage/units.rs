@@ -222,7 +222,7 @@ impl Kind<'_> {
         let mut tests = vec![draw_test(self.prior, own, rng, |_| FaultState::NOMINAL)];
         tests.extend((0..TIMED).map(|_| draw_test(self.prior, own, rng, anywhere)));
         let raw = measure(&tests)?;
-        let learnt = after_healthy(self.prior, &[(self.calibration, vec![self.set.features(&raw[0])])]);
+        let learnt = after_healthy(self.prior, &[(self.calibration, &[self.set.features(&raw[0])])]);
         let constants = learnt.map_err(|(found, allowed)| anyhow!("a healthy unit is refused: {found} > {allowed}"))?;
         let diagnoser = self
             .calibration
@@ -245,7 +245,7 @@ impl Kind<'_> {
     /// What each test of a unit says before it goes in; the first is the acceptance test.
     pub(super) fn followed(&self, spread: &Spread, tests: &[Unit], raw: &[RawFeatures]) -> Result<Vec<Case>> {
         let features: Vec<Features> = raw.iter().map(|r| self.set.features(r)).collect();
-        let learnt = after_healthy(self.prior, &[(self.calibration, features[..1].to_vec())]);
+        let learnt = after_healthy(self.prior, &[(self.calibration, &features[..1])]);
         let healthy = usize::from(learnt.is_ok());
         let mut constants = learnt.unwrap_or_else(|_| self.prior.clone());
         let mut diagnoser = self
