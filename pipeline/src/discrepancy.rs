@@ -13,7 +13,7 @@ use ema_study::search::study::Outcome;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
-use ema_study::told::{in_loop, next, persist, tell, verify};
+use ema_study::told::{in_loop, next, persist, source, tell, verify};
 use schemas::error::{Error, write_whole};
 use serde_json::Value;
 use sim_worker::effect::{Effect, EffectKind, Note};
@@ -208,7 +208,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                 };
                 let (mut child, mut verification) = verified(&made, outcome.verdict)?;
                 let (bench, of) = (as_read.clone(), child.clone());
-                outcome.source = interruptible(tell_user, move |_| in_loop::source_of_legs(&bench, &of))??;
+                outcome.source = interruptible(tell_user, move |_| source::by_loop(&bench, &of))??;
                 if outcome.source.is_some() {
                     (findings, made, child, verification) = again(&outcome)?;
                 }

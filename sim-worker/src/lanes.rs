@@ -408,7 +408,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             let mut last = 0.0;
             if F & term::EFFECTS != 0 {
                 let supply = inverter::supply_current(h, [i[0], i[1], -(i[0] + i[1])]);
-                let supply = pick(fx.felt.bare[l], supply.abs(), supply);
+                let supply = pick(fx.felt.by_size[l], supply.abs(), supply);
                 sum.supply[l] += supply;
                 let level = fx.felt.supply[l] + fx.felt.bus[l] * (supply - fx.felt.supply[l]);
                 fx.felt.supply[l] = pick(level.abs() < GONE, 0.0, level);

@@ -118,8 +118,10 @@ fn to_text(f: &Findings) -> String {
         if let Some(q) = e.sensor {
             t += &format!("  in the sensor of phase {}\n", PHASES[q]);
         }
-        if e.draw == Draw::Legs {
-            t += "  by the size of the legs' current, which no capacitor levels\n";
+        match e.draw {
+            Draw::Power => {}
+            Draw::Bridge => t += "  by the current that the bridge draws and gives back, which no capacitor levels\n",
+            Draw::Legs => t += "  by the size of the legs' current, which no capacitor levels\n",
         }
         if e.reads == Reads::AngleAndSpeed {
             t += "  in the measured speed too, which is of the same sensor\n";

@@ -153,9 +153,15 @@ fn effect(n: usize, e: &FoundEffect, blocks: &mut Blocks) -> Section {
     if let Some(q) = e.sensor {
         text += &format!("- It is in the sensor of phase {}.\n", PHASES[q]);
     }
-    if e.draw == Draw::Legs {
-        text += "- The voltage goes by the size of the legs' current at every moment, not by the power that a link with a capacitor draws.\n";
-    }
+    text += match e.draw {
+        Draw::Power => "",
+        Draw::Bridge => {
+            "- The voltage goes by the current that the bridge draws and gives back at every moment: no capacitor levels it.\n"
+        }
+        Draw::Legs => {
+            "- The voltage goes by the size of the legs' current at every moment, not by the power that a link with a capacitor draws.\n"
+        }
+    };
     if e.reads == Reads::AngleAndSpeed {
         text += "- The measured speed is of the same sensor and has its error too; the speed loop acts on it.\n";
     }

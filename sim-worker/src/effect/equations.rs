@@ -251,8 +251,12 @@ impl Effect {
         let a = self.values[0];
         match self.kind {
             EffectKind::WindingHeating => c.resistance * (self.resistance_factor() - 1.0) * s.current,
-            EffectKind::SupplySag if self.draw == Draw::Legs => a * s.duty * s.current.abs(),
-            EffectKind::SupplySag => a * s.duty * s.duty * s.current,
+            EffectKind::SupplySag => match self.draw {
+                Draw::Power => a * s.duty * s.duty * s.current,
+                // legs of a pair that are never up together, with the current or against it
+                Draw::Bridge => a * s.current,
+                Draw::Legs => a * s.duty * s.current.abs(),
+            },
             EffectKind::DeadTime => 2.0 * self.leg_drop(s.current),
             EffectKind::CurrentOffset => -self.current_offset(s, c) * c.resistance,
             EffectKind::CurrentGain => -c.resistance * self.current_gain(s, c),

@@ -86,9 +86,9 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
             });
         }
         if t.may_have("draw") {
-            let draw = |name: &str| [Draw::Power, Draw::Legs].into_iter().find(|d| d.name() == name);
+            let draw = |name: &str| Draw::ALL.into_iter().find(|d| d.name() == name);
             e.draw = match kind {
-                EffectKind::SupplySag => one_of(&mut t, "draw", "power or legs", draw)?,
+                EffectKind::SupplySag => one_of(&mut t, "draw", "power, bridge or legs", draw)?,
                 _ => one_of(&mut t, "draw", "nothing: it is in no source", |_| None)?,
             };
         }

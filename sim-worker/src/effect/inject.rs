@@ -27,8 +27,8 @@ pub struct Injection {
     pub commutation: f64,
     /// resistance of the source [ohm]
     pub source: f64,
-    /// nothing levels what is drawn from it, which counts by its size
-    pub bare: bool,
+    /// what its voltage goes by
+    pub draw: Draw,
     /// gain of the measured current `gain i + offset`
     pub gain: f64,
     /// gain of each phase's sensor
@@ -76,7 +76,7 @@ impl Injection {
             turns: [1.0; 3],
             commutation: 0.0,
             source: 0.0,
-            bare: false,
+            draw: Draw::default(),
             gain: 1.0,
             gains: [1.0; 3],
             offset: 0.0,
@@ -111,7 +111,9 @@ impl Injection {
                 EffectKind::Backlash | EffectKind::WindingHeating => {}
                 EffectKind::SupplySag => {
                     all.source += a;
-                    all.bare |= e.draw == Draw::Legs;
+                    if e.draw != Draw::default() {
+                        all.draw = e.draw;
+                    }
                 }
                 EffectKind::DeadTime => all.dead_time.push(e.clone()),
                 EffectKind::TurnShort => {

@@ -42,15 +42,21 @@ pub enum Draw {
     /// the current that the bridge draws and gives back, levelled by the link's capacitor
     #[default]
     Power,
+    /// that current at every moment: nothing levels it
+    Bridge,
     /// the size of the current of the legs that are switched up, at every moment: nothing levels it, and nothing comes back
     Legs,
 }
 
 impl Draw {
+    /// All laws.
+    pub const ALL: [Self; 3] = [Self::Power, Self::Bridge, Self::Legs];
+
     /// In files and reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Power => "power",
+            Self::Bridge => "bridge",
             Self::Legs => "legs",
         }
     }

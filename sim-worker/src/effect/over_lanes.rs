@@ -1,7 +1,7 @@
 //! The effects of all lanes of a test bench, side by side: what has no state of its own runs over the lanes.
 
 use super::inject::Injection;
-use super::{EffectKind, equations};
+use super::{Draw, EffectKind, equations};
 use crate::control::pick;
 use crate::lanes::Units;
 use crate::parameters::ActuatorParameters;
@@ -32,7 +32,7 @@ pub struct Felt<const N: usize> {
     /// weight of a step in that mean; 1 where nothing levels it
     pub bus: [f64; N],
     /// the supply current counts by its size
-    pub bare: [bool; N],
+    pub by_size: [bool; N],
     /// gain of the measured current
     pub gain: [[f64; N]; 3],
     /// whether the three gains differ, so that the measured currents do not add up to the offsets
@@ -134,7 +134,7 @@ impl<const N: usize> Default for LaneEffects<N> {
                 sag: [0.0; N],
                 supply: [0.0; N],
                 bus: [0.0; N],
-                bare: [false; N],
+                by_size: [false; N],
                 gain: [[ONE; N]; 3],
                 uneven: [false; N],
                 offset: [0.0; N],
@@ -199,9 +199,10 @@ impl<const N: usize> LaneEffects<N> {
             self.delayed |= e.delay.is_some();
             let felt = &mut self.felt;
             felt.sag[l] = 0.5 * e.source * u.volt / u.ampere;
-            if e.bare {
-                (felt.bus[l], felt.bare[l]) = (1.0, true);
+            if e.draw != Draw::Power {
+                felt.bus[l] = 1.0;
             }
+            felt.by_size[l] = e.draw == Draw::Legs;
             (0..3).for_each(|q| felt.gain[q][l] = e.gains[q]);
             felt.uneven[l] = e.gains != [e.gains[0]; 3];
             felt.offset[l] = e.offset * u.ampere;
@@ -413,7 +414,14 @@ impl<const N: usize> LaneEffects<N> {
     /// * `mean` of the current that is drawn in the interval so far [A], NaN before its first step
     pub fn sag(&self, l: usize, mean: f64) -> f64 {
         let now = self.felt.supply[l] / self.amperes[l];
-        let of = |e: &Injection| e.source * if e.bare && !mean.is_nan() { mean } else { now };
+        let of = |e: &Injection| {
+            e.source
+                * if e.draw != Draw::Power && !mean.is_nan() {
+                    mean
+                } else {
+                    now
+                }
+        };
         self.lanes[l].as_ref().map_or(0.0, of)
     }
 

@@ -148,7 +148,7 @@ fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
     let said = format!("{}draw = \"power\"\n", power.to_toml());
     assert_eq!(parse(&said).unwrap().effects, std::slice::from_ref(&power));
     for (of, wrong, allowed) in [
-        (&power, "both", "power or legs"),
+        (&power, "both", "power, bridge or legs"),
         (&visible(EffectKind::DeadTime), "legs", "in no source"),
     ] {
         let error = parse(&format!("{}draw = \"{wrong}\"\n", of.to_toml()))

@@ -3,7 +3,7 @@
 //! implicit step by its slope.
 
 use super::{MonitorModel, limit};
-use crate::effect::{Injection, Signals};
+use crate::effect::{Draw, Injection, Signals};
 use crate::parameters::ActuatorParameters;
 use crate::plant::{backlash, end_stop};
 
@@ -131,10 +131,10 @@ impl MonitorModel {
         }
         // what the source gave: by the share of the time that the legs push, or all the time by the size
         let v = x.impedance * i - x.l_dt * x.i + emf;
-        x.supply = match (volts > 0.0, e.bare) {
-            (false, _) => 0.0,
-            (true, false) => v / volts * i,
-            (true, true) => i.abs(),
+        x.supply = match e.draw {
+            _ if volts <= 0.0 => 0.0,
+            Draw::Legs => i.abs(),
+            Draw::Power | Draw::Bridge => v / volts * i,
         };
         x.rate = (i - x.i) / dt;
         x.i = i;

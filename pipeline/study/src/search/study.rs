@@ -12,7 +12,7 @@ use crate::search::remainder;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
 use crate::search::verdict::{Verdict, WORTH, conclude};
-use sim_worker::effect::{EffectKind, Equation};
+use sim_worker::effect::{Draw, EffectKind, Equation};
 
 /// Most effects that one study adds.
 pub const MOST_EFFECTS: usize = 4;
@@ -36,6 +36,17 @@ const RIVAL_SHARE: f64 = 0.02;
 /// An effect, and the rms of its equation's rows on the held-out runs without it and with all.
 pub type Proof = (EffectKind, f64, f64);
 
+/// The source of an actuator as the simulated loop says it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Source {
+    /// what its voltage goes by
+    pub draw: Draw,
+    /// resistance [ohm]
+    pub ohm: f64,
+    /// its standard deviation [ohm]
+    pub sd: f64,
+}
+
 /// What a study comes to: verdict, models before and after, and the steps between.
 pub struct Outcome {
     pub verdict: Verdict,
@@ -54,8 +65,8 @@ pub struct Outcome {
     pub proofs: Vec<Proof>,
     /// effects that were found beside the equations
     pub beside: Vec<Beside>,
-    /// resistance of a source that nothing levels, by the simulated loop, and its standard deviation [ohm]
-    pub source: Option<(f64, f64)>,
+    /// the source by the simulated loop
+    pub source: Option<Source>,
     /// nuisance parameters around the model's own constants
     pub first_nuisances: Vec<Nuisance>,
     /// held-out energies by equation: nominal, re-tuned, with the effects

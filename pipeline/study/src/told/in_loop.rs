@@ -1,13 +1,11 @@
-//! What only the closed loop shows of an actuator of ours. How late its controller's output is: the equations take the measured
-//! current as it came; the numerical test bench under the recorded command, late by one delay or another, says which fits. And
-//! how much of the time the legs draw their current from a source that nothing levels: the relays know.
+//! What only the closed loop shows of an actuator of ours: how late its controller's output is. The equations take the measured
+//! current as it came; the numerical test bench under the recorded command, late by one delay or another, says which fits.
 
-use crate::equations::signals::size_of;
 use crate::measured::bench::{Bench, BenchChannel, Role, RunSpec};
 use crate::search::beside::{Beside, found, scatter};
 use crate::told::verify::{self, OfRuns, Simulated, Verification};
 use schemas::error::Result;
-use sim_worker::effect::{Draw, Effect, EffectKind};
+use sim_worker::effect::{Effect, EffectKind};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::simulate::LANES;
 
@@ -90,58 +88,6 @@ pub fn late_control(
     let seen = ("speed of the simulated loop against the measured one", "rad/s");
     let rms = (before.sqrt(), after.sqrt());
     Ok(takes.then(|| found(EffectKind::ControlDelay, (value, sd), seen, rms)))
-}
-
-/// Resistance [ohm] of a source that goes by the size of the legs' current, and its standard deviation: what the measured supply
-/// drops by over what the simulated legs draw, by the size of the recorded currents as the instrument, which knows nothing of
-/// either's chatter. Between two changes of a relay two legs may be up together and draw next to nothing, so that the size of
-/// the currents alone makes the resistance too small (by half at a few tenths of an ampere). `None` where there is no such
-/// source, or it cannot be simulated.
-///
-/// * `child` the actuator with what was found
-///
-/// # Errors
-/// Refuses files that cannot be read.
-pub fn source_of_legs(bench: &Bench, child: &ActuatorParameters) -> Result<Option<(f64, f64)>> {
-    let of_legs = |e: &&Effect| e.kind == EffectKind::SupplySag && e.draw == Draw::Legs;
-    let Some(assumed) = child.effects.iter().find(of_legs).map(|e| e.values[0]) else {
-        return Ok(None);
-    };
-    let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select])?;
-    // of each piece: covariances of the size with what was measured and with what was simulated
-    let mut parts: Vec<[f64; 2]> = Vec::new();
-    for (runs, recorded) in &all {
-        let measured = |c: BenchChannel| recorded.measured.get(&c);
-        let phases: Option<Vec<&Vec<f64>>> = BenchChannel::CURRENTS.iter().map(|c| measured(*c)).collect();
-        let (Some(v), Some(currents)) = (measured(BenchChannel::VDc), phases) else {
-            continue;
-        };
-        let size: Vec<f64> = (0..v.len()).map(|k| size_of(&currents, k)).collect();
-        let simulated = verify::driven::<1>(bench, recorded, std::slice::from_ref(child)).swap_remove(0);
-        let s = &simulated[&BenchChannel::VDc];
-        for run in runs.iter().filter(|r| r.role != Role::HeldOut) {
-            let within = |t: f64| run.window_s.is_none_or(|(from, to)| t >= from && t <= to);
-            let of: Vec<usize> = (0..v.len()).filter(|k| within(recorded.time_s[*k])).collect();
-            let middle = of.iter().map(|k| size[*k]).sum::<f64>() / of.len().max(1) as f64;
-            let with = |x: &[f64]| {
-                of.iter()
-                    .map(|&k| (size[k] - middle) * (child.supply_voltage_v - x[k]))
-                    .sum::<f64>()
-            };
-            parts.push([with(v), with(s)]);
-        }
-    }
-    let ratio = |without: Option<usize>| {
-        let kept = || parts.iter().enumerate().filter(|(p, _)| Some(*p) != without);
-        let sum = |i: usize| kept().map(|(_, x)| x[i]).sum::<f64>();
-        assumed * sum(0) / sum(1)
-    };
-    let value = ratio(None);
-    if parts.len() < 3 || !(value.is_finite() && value > 0.0) {
-        return Ok(None);
-    }
-    let without = (0..parts.len()).map(|p| ratio(Some(p)));
-    Ok(Some((value, scatter(without, value))))
 }
 
 /// The simulated speed against the measured one, piece by piece, with each of at most [`AT_ONCE`] delays.

@@ -5,5 +5,6 @@ pub mod in_loop;
 pub mod next;
 pub mod persist;
 pub mod places;
+pub mod source;
 pub mod tell;
 pub mod verify;

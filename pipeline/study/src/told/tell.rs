@@ -201,6 +201,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
         .map(|(t, term)| {
             let e = fit::effect_of(term, &m.constants, &m.fit);
             let factor = if intervals::is_torque(term.kind) { scale } else { 1.0 };
+            let source = o.source.filter(|_| term.kind == EffectKind::SupplySag);
             let parameters = e
                 .parameters()
                 .enumerate()
@@ -208,8 +209,8 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     let s = if k == 0 { factor } else { 1.0 };
                     let (mut v, mut half) = (v * s, i.terms[t][k] * s);
                     // the simulated loop knows how much of the time the legs draw
-                    if let Some((by_loop, sd)) = o.source.filter(|_| term.kind == EffectKind::SupplySag) {
-                        (v, half) = (by_loop, (half * by_loop / v).hypot(NORMAL_95 * sd));
+                    if let Some(s) = source {
+                        (v, half) = (s.ohm, (half * s.ohm / v).hypot(NORMAL_95 * s.sd));
                     }
                     Identified {
                         name: key.name.to_string(),
@@ -250,7 +251,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     (c * p.1, c * p.2)
                 }),
                 sensor: e.sensor,
-                draw: e.draw,
+                draw: source.map_or(e.draw, |s| s.draw),
                 reads: e.reads,
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }

@@ -256,7 +256,8 @@ fn recorded(
         return Ok(Err(format!("{} samples", time_s.len())));
     }
     let mut measured = BTreeMap::new();
-    for (c, _) in CHANNELS {
+    // voltages are not simulated: they say what the windings take
+    for c in CHANNELS.map(|(c, _)| c).into_iter().chain(BenchChannel::VOLTAGES) {
         if let Some(spec) = bench.channel(c).filter(|s| table.numbers(&s.column).is_ok()) {
             measured.insert(c, late(&time_s, column(spec)?, spec.delay_s));
         }
