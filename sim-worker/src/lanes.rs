@@ -28,8 +28,10 @@ pub mod term {
     pub const LOAD: u32 = 2;
     /// Sums of the additional channels (voltages, supply current, torque, i_q).
     pub const EXTRA: u32 = 4;
-    /// Effects beyond the paper's; needs the others.
+    /// Effects beyond the paper's; needs stops and load.
     pub const EFFECTS: u32 = 8;
+    /// Those of bridge, windings, commutation and their sensors; needs effects.
+    pub const CURRENTS: u32 = 16;
 }
 
 macro_rules! lane_struct {
@@ -320,7 +322,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 x_min: k.x_min[at::<SAME>(l)],
                 x_max: k.x_max[at::<SAME>(l)],
             };
-            let seen = if F & term::EFFECTS != 0 {
+            let seen = if F & term::CURRENTS != 0 {
                 st.turn[l] * fx.felt.seen[l]
             } else {
                 st.turn[l]
@@ -341,7 +343,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             (on.f0[l], on.f1[l], on.f2[l]) = (fold[0], fold[1], fold[2]);
             (on.k0[l], on.k1[l], on.k2[l]) = (coefficient(0), coefficient(1), coefficient(2));
         }
-        if F & term::EFFECTS != 0 {
+        if F & term::CURRENTS != 0 {
             if fx.is_electrical() {
                 for l in 0..N {
                     let felt = &fx.felt;
@@ -389,7 +391,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 inverter::leg_voltage(h[2], k.volts[at::<SAME>(l)]),
             ];
             let ke = [on.k0[l], on.k1[l], on.k2[l]];
-            let mut i = if F & term::EFFECTS != 0 {
+            let mut i = if F & term::CURRENTS != 0 {
                 let felt = &fx.felt;
                 let volts = k.volts[at::<SAME>(l)] - felt.sag[l] * felt.supply[l];
                 let volts = if volts > 0.0 { volts } else { 0.0 };
@@ -406,7 +408,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
             (st.ia[l], st.ib[l]) = (i[0], i[1]);
             // measured current of the third phase
             let mut last = 0.0;
-            if F & term::EFFECTS != 0 {
+            if F & term::CURRENTS != 0 {
                 let supply = inverter::supply_current(h, [i[0], i[1], -(i[0] + i[1])]);
                 let supply = pick(fx.felt.by_size[l], supply.abs(), supply);
                 sum.supply[l] += supply;
@@ -421,7 +423,7 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 i = [measured(i[0], on.f0[l], 0), measured(i[1], on.f1[l], 1)];
             }
             let mut minus_ic = i[0] + i[1];
-            if F & term::EFFECTS != 0 {
+            if F & term::CURRENTS != 0 {
                 minus_ic = pick(fx.felt.uneven[l], -last, minus_ic - fx.felt.sensors[l]);
                 sum.ic[l] -= minus_ic;
             }
@@ -435,14 +437,14 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                 sum.va[l] += v[0] - n;
                 sum.vb[l] += v[1] - n;
                 sum.vc[l] += v[2] - n;
-                if F & term::EFFECTS == 0 {
+                if F & term::CURRENTS == 0 {
                     sum.supply[l] += inverter::supply_current(h, [i[0], i[1], ic]);
                 }
                 let half_shape = |fold: f64| back_emf::coefficient::<false>(fold, 0.5);
                 sum.iq[l] += half_shape(on.f0[l]) * i[0] + half_shape(on.f1[l]) * i[1] + half_shape(on.f2[l]) * ic;
             }
         }
-        if F & term::EFFECTS != 0 && fx.is_saturated() {
+        if F & term::CURRENTS != 0 && fx.is_saturated() {
             let mut ic = [0.0; N];
             for l in 0..N {
                 ic[l] = -(st.ia[l] + st.ib[l]);

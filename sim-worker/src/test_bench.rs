@@ -44,6 +44,8 @@ pub struct NumericalTestBench<const N: usize> {
     supply_voltage_v: [f64; N],
     same: bool,
     all_terms: bool,
+    /// more than the basic channels
+    extra: bool,
     step: u64,
     interval: u64,
 }
@@ -146,6 +148,7 @@ impl<const N: usize> NumericalTestBench<N> {
             has_effects: effects.any(),
             effects,
             all_terms: loaded || extra,
+            extra,
             constants,
             state,
             sums: Sums::default(),
@@ -165,9 +168,15 @@ impl<const N: usize> NumericalTestBench<N> {
             let (set, same) = (self.set, self.same);
             let (k, st, sum) = (&self.constants, &mut self.state, &mut self.sums);
             let fx = &mut *self.effects;
-            const ALL: u32 = term::STOPS | term::LOAD | term::EXTRA;
-            if self.has_effects {
-                lanes::steps::<N, { ALL | term::EFFECTS }>(set, same, k, st, sum, fx, now);
+            const LOADED: u32 = term::STOPS | term::LOAD;
+            const ALL: u32 = LOADED | term::EXTRA;
+            const CURRENTS: u32 = term::EFFECTS | term::CURRENTS;
+            if self.has_effects && self.extra {
+                lanes::steps::<N, { ALL | CURRENTS }>(set, same, k, st, sum, fx, now);
+            } else if self.has_effects && fx.reach_currents() {
+                lanes::steps::<N, { LOADED | CURRENTS }>(set, same, k, st, sum, fx, now);
+            } else if self.has_effects {
+                lanes::steps::<N, { LOADED | term::EFFECTS }>(set, same, k, st, sum, fx, now);
             } else if self.all_terms {
                 lanes::steps::<N, ALL>(set, same, k, st, sum, fx, now);
             } else if Self::stops_within_reach(k, st, n) {
@@ -251,6 +260,7 @@ impl<const N: usize> NumericalTestBench<N> {
         (self.step, self.interval) = (other.step, other.interval);
         self.effects.go_on_from(&other.effects);
         self.all_terms |= other.all_terms;
+        self.extra |= other.extra;
         lanes::resync(self.set, &self.constants, &mut self.state);
     }
 

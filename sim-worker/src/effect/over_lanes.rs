@@ -105,6 +105,8 @@ pub struct LaneEffects<const N: usize> {
     behind: bool,
     saturated: bool,
     delayed: bool,
+    /// whether any is in bridge, windings, commutation or their sensors
+    currents: bool,
     dt: f64,
 }
 
@@ -154,6 +156,7 @@ impl<const N: usize> Default for LaneEffects<N> {
             behind: false,
             saturated: false,
             delayed: false,
+            currents: false,
             dt: 0.0,
         }
     }
@@ -203,6 +206,8 @@ impl<const N: usize> LaneEffects<N> {
                 felt.bus[l] = 1.0;
             }
             felt.by_size[l] = e.draw == Draw::Legs;
+            self.currents |= self.electrical || self.dead_time || self.saturated;
+            self.currents |= e.source != 0.0 || e.offset != 0.0 || e.gains != [1.0; 3] || e.sensors != [0.0; 3];
             (0..3).for_each(|q| felt.gain[q][l] = e.gains[q]);
             felt.uneven[l] = e.gains != [e.gains[0]; 3];
             felt.offset[l] = e.offset * u.ampere;
@@ -456,6 +461,11 @@ impl<const N: usize> LaneEffects<N> {
                 self.felt.drop[q][l] *= self.volts[l];
             }
         }
+    }
+
+    /// Whether any lane has an effect of bridge, windings, commutation or their sensors.
+    pub fn reach_currents(&self) -> bool {
+        self.currents
     }
 
     /// Whether any lane has dead time.
