@@ -3,9 +3,10 @@
 
 use crate::candidates::loads::{Spring, loose, released};
 use crate::candidates::phases::{LEGS, of_phases};
+use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants, wide};
 use crate::equations::samples::{rate_of, sharpened, shifted};
-use crate::equations::signals::{SUPPLY, Signals};
+use crate::equations::signals::Signals;
 use sim_worker::effect::{self, Draw, Effect, EffectKind, Equation, Reads};
 use std::f64::consts::{FRAC_PI_2, TAU};
 

@@ -1,7 +1,8 @@
 //! Effects that three measured phases tell apart: what each would add to the torque and to the equations of the phases.
 
+use crate::equations::phases::{Phases, SUPPLY};
 use crate::equations::pieces::{Column, Piece, RigConstants};
-use crate::equations::signals::{Phases, SUPPLY, Signals};
+use crate::equations::signals::Signals;
 use sim_worker::effect::{self, EffectKind, Equation};
 use std::f64::consts::TAU;
 

@@ -1,6 +1,7 @@
 pub mod floors;
 pub mod mechanics;
 pub mod nuisances;
+pub mod phases;
 pub mod pieces;
 pub mod problem;
 mod residuals;

@@ -4,8 +4,9 @@
 //! the held-out ones.
 
 use crate::equations::nuisances::Nuisance;
+use crate::equations::phases::Phases;
 use crate::equations::problem::Problem;
-use crate::equations::signals::{Phases, Signals};
+use crate::equations::signals::Signals;
 use crate::measured::bench::{BenchChannel, Role};
 use crate::measured::recording::Run;
 use crate::search::fit::{self, Fit, Term};

@@ -1,6 +1,6 @@
 //! The voltage of an actuator's supply, where it is measured.
 
-use crate::equations::signals::size_of;
+use crate::equations::phases::size_of;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::recording::Run;
 use crate::search::beside::scatter;

@@ -8,3 +8,4 @@ pub mod places;
 pub mod source;
 pub mod tell;
 pub mod verify;
+mod words;

@@ -1,7 +1,7 @@
 //! What the voltage of an actuator's source goes by, and its resistance, by the simulated loop. What the legs draw between two
 //! changes of a relay is in no recording; the relays of the numerical test bench under the recorded command know it.
 
-use crate::equations::signals::size_of;
+use crate::equations::phases::size_of;
 use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::search::beside::scatter;
 use crate::search::study::Source;
