@@ -13,7 +13,7 @@ use ema_study::search::study::Outcome;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
-use ema_study::told::{in_loop, next, persist, source, tell, verify};
+use ema_study::told::{in_loop, next, persist, scale, source, tell, verify};
 use schemas::error::{Error, write_whole};
 use serde_json::Value;
 use sim_worker::effect::{Effect, EffectKind, Note};
@@ -207,6 +207,14 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                     Ok((findings, made, child, verification))
                 };
                 let (mut child, mut verification) = verified(&made, outcome.verdict)?;
+                if outcome.verdict != Verdict::None {
+                    let (bench, of) = (as_read.clone(), child.clone());
+                    outcome.by_loop =
+                        interruptible(tell_user, move |_| scale::by_loop(&bench, &of))??.unwrap_or_default();
+                }
+                if !outcome.by_loop.is_empty() {
+                    (findings, made, child, verification) = again(&outcome)?;
+                }
                 let (bench, of) = (as_read.clone(), child.clone());
                 outcome.source = interruptible(tell_user, move |_| source::by_loop(&bench, &of))??;
                 if outcome.source.is_some() {

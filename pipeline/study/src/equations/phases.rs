@@ -14,8 +14,10 @@ pub const SUPPLY: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Phases {
     pub current: [Vec<f64>; 3],
-    /// against the star point
+    /// against the star point, or, by [`Phases::mix`], against anything else that is the same for all three
     pub voltage: Option<[Vec<f64>; 3]>,
+    /// rows of the electrical equation in a window, each by what it takes of the phases' equations
+    mix: &'static [[f64; 3]],
     /// of the supply
     pub supply: Option<Vec<f64>>,
     pub pole_pairs: f64,
@@ -27,6 +29,18 @@ pub struct Phases {
     pub(super) encoder: (f64, f64),
     from_position: bool,
 }
+
+/// Each phase against the star point.
+const TO_STAR: &[[f64; 3]] = &[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+/// What is left of three phases where nobody knows against what their voltages stand: nothing that is the same for all. Clarke's
+/// transform, which leaves noise that is alike in all phases as it is.
+const BETWEEN: &[[f64; 3]] = &[
+    [0.816_496_580_927_726, -0.408_248_290_463_863, -0.408_248_290_463_863],
+    [0.0, std::f64::consts::FRAC_1_SQRT_2, -std::f64::consts::FRAC_1_SQRT_2],
+];
+/// Share of the sum of the back-EMFs, rms, that the sum of voltages against the star point may be off by (assumed: that of voltages
+/// against anything else is off by all of it).
+const OFF_STAR: f64 = 0.5;
 
 /// Electrical angle that a run may sweep in a sample for its back-EMF to be taken by the flux [rad] (assumed).
 const MOST_FLUX_SWEEP: f64 = 0.4;
@@ -57,6 +71,7 @@ impl Phases {
         Some(Self {
             current,
             voltage: three(BenchChannel::VOLTAGES),
+            mix: TO_STAR,
             supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),
             pole_pairs: bench.rig.pole_pairs,
             edges,
@@ -65,9 +80,36 @@ impl Phases {
         })
     }
 
-    /// Rows of a window in the electrical equation: three phases, and the supply where it is measured.
+    /// Rows of a window in the electrical equation: those of the phases, and the supply where it is measured.
     pub fn rows(&self) -> usize {
-        3 + usize::from(self.supply.is_some())
+        self.mix.len() + usize::from(self.supply.is_some())
+    }
+
+    /// Row of the supply in a window, where it is measured.
+    pub fn supply_row(&self) -> Option<usize> {
+        self.supply.as_ref().map(|_| self.mix.len())
+    }
+
+    /// What each row of a window takes of the equation of a phase, or of the supply's; nothing is left out.
+    pub fn taken(&self, phase: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let supply = self.supply_row().filter(|_| phase == SUPPLY).map(|row| (row, 1.0));
+        let of = self.mix.iter().enumerate().filter(move |_| phase < 3);
+        of.map(move |(row, m)| (row, m[phase]))
+            .filter(|(_, m)| *m != 0.0)
+            .chain(supply)
+    }
+
+    /// Squares of what the sum of the voltages is off the sum of the back-EMFs, and of the latter [V2].
+    ///
+    /// * `ke` back-EMF coefficient of a phase [V s/rad]
+    fn off_star(&self, s: &Signals, ke: f64) -> (f64, f64) {
+        let Some(v) = &self.voltage else { return (0.0, 0.0) };
+        let flux: [Vec<f64>; 3] = std::array::from_fn(|q| self.back_emf(s, q));
+        (0..s.n).fold((0.0, 0.0), |(off, all), k| {
+            let emf = ke * flux.iter().map(|f| f[k]).sum::<f64>();
+            let sum = v.iter().map(|v| v[k]).sum::<f64>();
+            (off + (sum - emf).powi(2), all + emf * emf)
+        })
     }
 
     fn way(&self, s: &Signals, k: usize) -> (f64, f64) {
@@ -146,6 +188,21 @@ impl Phases {
                 recording::over_support(self.pole_pairs, q, from, to, &f)
             })
             .collect()
+    }
+}
+
+/// Finds out whether the voltages of a bench's runs stand against the star point: their sum is then that of the back-EMFs. Against
+/// the mean of the legs it is nothing, against the middle of the supply what the bridge makes of it; only what differs between
+/// phases counts then.
+///
+/// * `ke` back-EMF coefficient of a phase [V s/rad]
+pub fn find_star(runs: &mut [Signals], ke: f64) {
+    let of = |s: &Signals| s.phases.as_ref().map_or((0.0, 0.0), |p| p.off_star(s, ke));
+    let (off, all) = runs.iter().map(of).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+    if off > OFF_STAR.powi(2) * all {
+        runs.iter_mut()
+            .filter_map(|s| s.phases.as_mut())
+            .for_each(|p| p.mix = BETWEEN);
     }
 }
 

@@ -6,7 +6,7 @@ mod fill;
 use crate::equations::floors::floors;
 use crate::equations::mechanics::{Mechanics, mechanics};
 use crate::equations::nuisances::Nuisance;
-use crate::equations::phases::SUPPLY;
+use crate::equations::phases::{self, SUPPLY};
 use crate::equations::pieces::Column;
 use crate::equations::samples;
 use crate::equations::signals::{self, Clock, NoiseTable, Signals};
@@ -113,13 +113,14 @@ impl Problem {
         nuisances: &[Nuisance],
         excess: (f64, f64),
     ) -> Self {
-        let signals: Vec<Signals> = runs
+        let mut signals: Vec<Signals> = runs
             .iter()
             .map(|r| Signals {
                 before: signals::before(r, all),
                 ..Signals::new(bench, r, clock)
             })
             .collect();
+        phases::find_star(&mut signals, 0.5 * bench.rig.back_emf.value);
         let bank = clock.common();
         let reach = bank.half();
         // the kernel has given up all weight that matters within half its reach
@@ -269,13 +270,12 @@ impl Problem {
             }
             for piece in pieces[block.run].iter().filter(|p| p.equation == block.equation) {
                 if let (Equation::Electrical, Some(p)) = (block.equation, &self.signals[block.run].phases) {
-                    let each = p.rows();
-                    let Some(q) = piece.phase.filter(|q| *q < each) else {
-                        continue;
-                    };
+                    let Some(q) = piece.phase else { continue };
                     let scale = if q == SUPPLY { self.supply_scale } else { 1.0 };
-                    for (row, &k) in block.rows.clone().zip(&block.samples).skip(q).step_by(each) {
-                        out[row] += scale * over(&piece.signal, piece.order, k, self.window, rate);
+                    for (at, part) in p.taken(q) {
+                        for (row, &k) in block.rows.clone().zip(&block.samples).skip(at).step_by(p.rows()) {
+                            out[row] += part * scale * over(&piece.signal, piece.order, k, self.window, rate);
+                        }
                     }
                     continue;
                 }

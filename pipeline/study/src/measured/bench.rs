@@ -2,6 +2,7 @@
 
 mod read;
 
+use crate::measured::filtered::LowPass;
 use crate::measured::own;
 use ema_tables::units::Quantity;
 use read::{channel_spec, rig, run_spec};
@@ -263,6 +264,8 @@ pub struct Bench {
     pub effects: Vec<Effect>,
     /// recordings of the project's own telemetry, whose drive commutates in six steps
     pub own: bool,
+    /// a speed that was left out, as it is the angle's
+    pub made_of_angle: Option<LowPass>,
 }
 
 /// Whether a file is a recording of telemetry rather than a bench file, by its name.
@@ -373,6 +376,7 @@ impl Bench {
             runs,
             effects,
             own: false,
+            made_of_angle: None,
         };
         bench.add_q_current();
         for needed in [BenchChannel::Time, bench.rig.drive] {

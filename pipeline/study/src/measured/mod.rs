@@ -1,6 +1,7 @@
 pub mod bench;
 pub mod check;
 pub mod filter;
+pub mod filtered;
 mod one_constant;
 pub mod own;
 pub mod recording;

@@ -197,7 +197,7 @@ fn channels(table: &Table, mapped: &Mapped) -> Result<String> {
             text += &format!("{channel} = {{ column = \"{column}\"{rest}{noise} }}\n");
         }
     }
-    if has("v_dc") && has("v_a") && !mapped.has("v_dc") {
+    if has("v_dc") && !mapped.has("v_dc") {
         text += "v_dc = { column = \"v_dc\", sampling = \"mean\" }\n";
     }
     Ok(text)

@@ -95,6 +95,10 @@ impl Run {
         self.channels.get(&c).map(Vec::as_slice)
     }
 
+    pub(super) fn leave_out(&mut self, c: BenchChannel) {
+        self.channels.remove(&c);
+    }
+
     pub fn duration_s(&self) -> f64 {
         self.samples as f64 / self.rate_hz
     }

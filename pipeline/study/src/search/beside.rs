@@ -10,6 +10,7 @@ use crate::equations::signals::Signals;
 use crate::measured::bench::{BenchChannel, Role};
 use crate::measured::recording::Run;
 use crate::search::fit::{self, Fit, Term};
+use crate::search::intervals::intervals;
 use crate::search::select::Material;
 use sim_worker::effect::{COPPER_PER_K, EffectKind, Equation, NORMAL_95, conducting};
 
@@ -524,6 +525,18 @@ pub(super) fn together(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<
             "constants against what they were trusted, in standard deviations",
         )
     };
+    explained(&all, least)?;
+    // what they are known to by themselves counts too; it takes longer to work out than to see that nothing is to be explained
+    let known = intervals(m, model).nuisance;
+    let of = |o: Off| {
+        let k = m.nuisances.iter().position(|n| n.name == o.name);
+        let own = k.map_or(0.0, |k| known[k] / NORMAL_95);
+        Off {
+            sd: o.sd.hypot(own),
+            ..o
+        }
+    };
+    let all: Vec<Off> = all.into_iter().map(of).collect();
     let (behind, sd, either, before, after) = explained(&all, least)?;
     let rms = (before.sqrt(), after.sqrt());
     let (kind, other, value, sd, factors) = match behind {

@@ -9,6 +9,7 @@ use crate::equations::problem::{self, Problem};
 use crate::equations::signals::{self, Clock, NoiseTable};
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Known, Noise, Role};
 use crate::measured::check;
+use crate::measured::filtered;
 use crate::measured::recording::{self, Run};
 use crate::search::excitation;
 use crate::search::fit::{self, Fit, Regressor, Score, Term};
@@ -63,6 +64,7 @@ pub struct Ranked {
 impl Material {
     /// * `known` effects that the model has already
     pub fn new(mut bench: Bench, mut runs: Vec<Run>, known: &[Effect]) -> Self {
+        filtered::leave_out(&mut bench, &mut runs);
         recording::taken_together(&mut bench, &mut runs);
         begin(&mut bench, &runs);
         let noise = signals::noise_table(&bench, &runs);

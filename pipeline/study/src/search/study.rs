@@ -36,6 +36,17 @@ const RIVAL_SHARE: f64 = 0.02;
 /// An effect, and the rms of its equation's rows on the held-out runs without it and with all.
 pub type Proof = (EffectKind, f64, f64);
 
+/// A constant by the simulated loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OfLoop {
+    /// as constants are called
+    pub name: &'static str,
+    /// over that of the model whose loop was simulated
+    pub factor: f64,
+    /// standard deviation of its logarithm
+    pub sd: f64,
+}
+
 /// The source of an actuator as the simulated loop says it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Source {
@@ -67,6 +78,8 @@ pub struct Outcome {
     pub beside: Vec<Beside>,
     /// the source by the simulated loop
     pub source: Option<Source>,
+    /// constants that only the simulated loop tells
+    pub by_loop: Vec<OfLoop>,
     /// nuisance parameters around the model's own constants
     pub first_nuisances: Vec<Nuisance>,
     /// held-out energies by equation: nominal, re-tuned, with the effects
@@ -272,6 +285,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         proofs,
         beside,
         source: None,
+        by_loop: Vec::new(),
     }
 }
 

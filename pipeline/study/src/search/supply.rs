@@ -21,14 +21,25 @@ pub fn at_rest(bench: &Bench, runs: &[&Run]) -> Option<(f64, f64)> {
     let mut sums: Vec<(Matrix3<f64>, Vector3<f64>)> = Vec::new();
     for run in runs {
         let three = |c: [BenchChannel; 3]| c.iter().map(|c| run.channel(*c)).collect::<Option<Vec<_>>>();
-        let (volts, currents) = (three(BenchChannel::VOLTAGES)?, three(BenchChannel::CURRENTS)?);
+        let (volts, currents) = (three(BenchChannel::VOLTAGES), three(BenchChannel::CURRENTS)?);
+        let angle = run.channel(BenchChannel::Position);
+        let power = |k: usize| match (&volts, angle) {
+            (Some(v), _) => (0..3).map(|q| v[q][k] * currents[q][k]).sum(),
+            // what turns the motor and what warms it
+            (None, Some(x)) => {
+                let (size, before) = (size_of(&currents, k), k.saturating_sub(1));
+                let speed = (x[k] - x[before]) * run.rate_hz;
+                (rig.drive_constant.value * speed.abs() + rig.resistance.value * size) * size
+            }
+            (None, None) => 0.0,
+        };
         let dc = run.channel(BenchChannel::VDc)?;
         // of half a second or so
         let pieces = ((2.0 * dc.len() as f64 / run.rate_hz) as usize).max(1);
         for piece in 0..pieces {
             let (mut gram, mut right) = (Matrix3::zeros(), Vector3::zeros());
             for k in piece * dc.len() / pieces..(piece + 1) * dc.len() / pieces {
-                let power: f64 = (0..3).map(|q| volts[q][k] * currents[q][k]).sum();
+                let power: f64 = power(k);
                 let x = Vector3::new(1.0, power / dc[k].max(1.0), size_of(&currents, k));
                 gram += x * x.transpose();
                 right += (dc[k] - rig.supply_voltage) * x;

@@ -5,6 +5,7 @@ pub mod in_loop;
 pub mod next;
 pub mod persist;
 pub mod places;
+pub mod scale;
 pub mod source;
 pub mod tell;
 pub mod verify;

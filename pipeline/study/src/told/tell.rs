@@ -13,6 +13,7 @@ use crate::search::verdict::{Verdict, shares};
 use crate::told::findings::*;
 use crate::told::places;
 use crate::told::words::{assumptions, facts, missing, sentence, told, unnamed};
+use nalgebra::DMatrix;
 use sim_worker::effect::{Draw, EffectKind, Equation, NORMAL_95, Reads};
 
 /// The channel that an equation predicts.
@@ -43,8 +44,7 @@ pub(super) fn to_channel(m: &Material, e: Equation) -> f64 {
 pub fn findings(o: &Outcome, model_file: &str) -> Findings {
     let m = &o.material;
     let intervals = intervals::intervals(m, &o.model);
-    let retuned = constants(o, &intervals);
-    let correlation = correlation(o, &intervals);
+    let (retuned, correlation) = looped(o, constants(o, &intervals), correlation(o, &intervals));
     let effects = effects(o, &intervals);
     let by_channel = gaps(o);
     let gap = by_channel.first().cloned();
@@ -139,6 +139,63 @@ fn constants(o: &Outcome, i: &Intervals) -> Vec<Identified> {
         });
     }
     out
+}
+
+/// The constants with what only the simulated loop tells: one that stands among them is measured by it, and all that hang on it go with
+/// it; the others come after them.
+fn looped(o: &Outcome, mut all: Vec<Identified>, correlation: Vec<f64>) -> (Vec<Identified>, Vec<f64>) {
+    if o.by_loop.is_empty() {
+        return (all, correlation);
+    }
+    let n = all.len();
+    let sd = |c: &Identified| (0.5 * (c.hi - c.lo) / NORMAL_95 / c.value.abs().max(1e-300)).max(1e-12);
+    let sds: Vec<f64> = all.iter().map(sd).collect();
+    let mut of = DMatrix::from_fn(n, n, |a, b| correlation[a * n + b] * sds[a] * sds[b]);
+    let mut alone = Vec::new();
+    for l in &o.by_loop {
+        let Some(k) = all.iter().position(|c| c.name == l.name) else {
+            alone.push(l);
+            continue;
+        };
+        let by = of.column(k) / of[(k, k)];
+        for (c, by) in all.iter_mut().zip(by.iter()) {
+            c.value *= (by * l.factor.ln()).exp();
+        }
+        let known = l.sd.powi(2).min(of[(k, k)]);
+        of -= &by * by.transpose() * (of[(k, k)] - known);
+    }
+    for (k, c) in all.iter_mut().enumerate() {
+        let half = NORMAL_95 * of[(k, k)].max(0.0).sqrt() * c.value.abs();
+        (c.lo, c.hi) = (c.value - half, c.value + half);
+    }
+    let known: Vec<f64> = (0..n).map(|k| of[(k, k)].max(1e-300).sqrt()).collect();
+    let rig = &o.material.bench.rig;
+    for l in alone {
+        let (nominal, unit) = match l.name {
+            "resistance" => (rig.resistance.value, "ohm"),
+            "inductance" => (rig.inductance.value, "H"),
+            "supply_voltage" => (rig.supply_voltage, "V"),
+            _ => continue,
+        };
+        let value = nominal * l.factor;
+        let half = NORMAL_95 * l.sd * value;
+        all.push(Identified {
+            name: l.name.to_string(),
+            value,
+            lo: value - half,
+            hi: value + half,
+            unit: unit.to_string(),
+            nominal: Some(nominal),
+        });
+    }
+    let m = all.len();
+    let told = |a: usize, b: usize| match (a < n, b < n) {
+        _ if a == b => 1.0,
+        (true, true) => (of[(a, b)] / (known[a] * known[b])).clamp(-1.0, 1.0),
+        _ => 0.0,
+    };
+    let correlation = (0..m * m).map(|k| told(k / m, k % m)).collect();
+    (all, correlation)
 }
 
 /// Correlations of the constants that are told.

@@ -162,6 +162,13 @@ pub(super) fn assumptions(m: &Material) -> Vec<String> {
         "sensors: gain 0.6 %, offset of the drive 0.2 % of its range, clocks 15 % of a sample apart (one sigma)".to_string(),
         "an effect is taken for a gain of 12 in log-likelihood beyond what its parameters cost, data that did not fix its amplitudes and get better in 97.5 % of block draws, and 30 % of what is left explained; held-out data, seen once, prove it".to_string(),
     ];
+    if let Some(f) = m.bench.made_of_angle {
+        out.push(format!(
+            "the recorded speed is no sensor of its own but the angle's slope through {} of the first order at {:.0} Hz: it was left out",
+            if f.order == 1 { "a low pass" } else { "two low passes" },
+            f.corner_hz
+        ));
+    }
     if !m.bench.rig.from_model.is_empty() {
         out.push(format!(
             "from the model's file, as the bench file does not say: {}",

@@ -2,7 +2,6 @@
 
 use super::{Problem, over};
 use crate::equations::nuisances::{Nuisance, SENSOR_OFFSET_OF_RANGE};
-use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, wide};
 use crate::equations::whitener::Rows;
 use crate::measured::bench::{Bench, BenchChannel};
@@ -108,28 +107,31 @@ impl Problem {
                     let over = |x: &[f64], order: usize, k: usize| over(x, order, k, self.window, s.rate_hz);
                     let flux: [Vec<f64>; 3] = std::array::from_fn(|q| p.back_emf(s, q));
                     let mut columns = [vec![0.0; y.len()], vec![0.0; y.len()], vec![0.0; y.len()]];
-                    for (i, &k) in block.samples.iter().enumerate() {
-                        let q = i % each;
-                        if q == SUPPLY {
-                            let v_dc = p.supply.as_ref().expect("it is one of each");
-                            y[i] = self.supply_scale * (over(v_dc, 0, k) - rig.supply_voltage);
-                            continue;
+                    for (w, &k) in block.samples.iter().step_by(each).enumerate() {
+                        for q in 0..3 {
+                            let of = [
+                                r * over(&p.current[q], 0, k),
+                                l * over(&p.current[q], 1, k),
+                                ke * over(&flux[q], 0, k),
+                            ];
+                            let left = over(&volts[q], 0, k) - of.iter().sum::<f64>();
+                            for (row, part) in p.taken(q) {
+                                let i = w * each + row;
+                                y[i] += part * left;
+                                columns.iter_mut().zip(of).for_each(|(c, x)| c[i] += part * x);
+                            }
                         }
-                        let of = [
-                            r * over(&p.current[q], 0, k),
-                            l * over(&p.current[q], 1, k),
-                            ke * over(&flux[q], 0, k),
-                        ];
-                        y[i] = over(&volts[q], 0, k) - of.iter().sum::<f64>();
-                        columns.iter_mut().zip(of).for_each(|(c, x)| c[i] = x);
+                        if let (Some(row), Some(v_dc)) = (p.supply_row(), &p.supply) {
+                            y[w * each + row] = self.supply_scale * (over(v_dc, 0, k) - rig.supply_voltage);
+                        }
                     }
                     column("resistance", &|i| columns[0][i]);
                     column("inductance", &|i| columns[1][i]);
                     column("torque_constant", &|i| columns[2][i]);
                     column("voltage_gain", &|i| columns[0][i] + columns[1][i] + columns[2][i]);
                     column("drive_gain", &|i| columns[0][i]);
-                    if each > 3 {
-                        supplies.push((block.rows.clone(), each));
+                    if let Some(row) = p.supply_row() {
+                        supplies.push((block.rows.start + row..block.rows.end, each));
                     }
                 }
                 Equation::Electrical => {
@@ -204,9 +206,7 @@ impl Problem {
         for (rows, each) in supplies {
             // the supply's own voltage
             let mut c = vec![0.0; self.rows];
-            rows.skip(if each > 1 { SUPPLY } else { 0 })
-                .step_by(each)
-                .for_each(|row| c[row] = self.supply_scale);
+            rows.step_by(each).for_each(|row| c[row] = self.supply_scale);
             self.add_local(c, None);
         }
         self.add_phase_offsets(bench, runs);

@@ -1,0 +1,182 @@
+//! A speed that is made of the angle: a drive differentiates its resolver's angle and smooths that by low passes of the first order. Such
+//! a channel says nothing that the angle does not, later, and with less of what is fast: no sensor of its own.
+
+use crate::measured::bench::{Bench, BenchChannel};
+use crate::measured::recording::Run;
+
+/// Time over which speeds are compared [s] (assumed): the grain of an angle is then small beside what a low pass takes.
+const MEAN_S: f64 = 2e-3;
+/// Time constants of a low pass and delays that are tried: shortest and longest [s], and how many.
+const FROM_S: f64 = 5e-5;
+const TO_S: f64 = 6e-3;
+const TRIED: usize = 28;
+/// Rate at which low passes are reckoned at least [Hz].
+const STEPS_HZ: f64 = 2e4;
+/// Share of what the best delay leaves, rms, below which a low pass must leave it (assumed: of twelve benches of another hand the seven
+/// whose speed was the angle's left 0.1 to 0.6 of it, the others at least 6 times as much), and the least lag that counts [s].
+const SHARE: f64 = 0.8;
+const LEAST_LAG_S: f64 = 3e-4;
+
+/// How a speed is made of the angle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LowPass {
+    /// low passes of the first order, one after the other
+    pub order: usize,
+    /// corner of each [Hz]
+    pub corner_hz: f64,
+}
+
+/// Takes a speed that is made of the angle out of the bench and its runs.
+pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
+    let Some(made) = made_of_angle(runs) else { return };
+    bench.made_of_angle = Some(made);
+    bench.channels.retain(|c| c.channel != BenchChannel::Velocity);
+    for r in runs {
+        r.leave_out(BenchChannel::Velocity);
+    }
+}
+
+/// What the speed of the runs is made by, where a low pass of the angle's slope leaves far less of it than a delay does.
+fn made_of_angle(runs: &[Run]) -> Option<LowPass> {
+    let both = |r: &Run| -> Option<Pair> {
+        let x = r.channel(BenchChannel::Position)?;
+        let slope = x.windows(2).map(|w| (w[1] - w[0]) * r.rate_hz).collect();
+        Some(Pair {
+            rate_hz: r.rate_hz,
+            slope,
+            speed: r.channel(BenchChannel::Velocity)?[1..].to_vec(),
+        })
+    };
+    let pairs: Option<Vec<Pair>> = runs.iter().filter(|r| !r.steady && r.samples > 8).map(both).collect();
+    let pairs = pairs.filter(|p| !p.is_empty())?;
+    let left = |of: &dyn Fn(&Pair) -> Vec<f64>| pairs.iter().map(|p| p.left(&of(p))).sum::<f64>();
+    let (_, delayed) = least(&|t| left(&|p| p.delayed(t)));
+    let passes = [1, 2].map(|order| {
+        let (tau, rest) = least(&|tau| left(&|p| p.passed(tau, order)));
+        (order, tau, rest)
+    });
+    let (order, tau, rest) = passes.into_iter().min_by(|a, b| a.2.total_cmp(&b.2))?;
+    let is_made = rest < SHARE * SHARE * delayed && order as f64 * tau > LEAST_LAG_S;
+    is_made.then(|| LowPass {
+        order,
+        corner_hz: 1.0 / (std::f64::consts::TAU * tau),
+    })
+}
+
+/// Time of the least cost, and that cost.
+fn least(cost: &dyn Fn(f64) -> f64) -> (f64, f64) {
+    let ratio = (TO_S / FROM_S).powf(1.0 / (TRIED - 1) as f64);
+    let all = (0..TRIED).map(|k| FROM_S * ratio.powi(k as i32)).map(|t| (t, cost(t)));
+    let best = |a: (f64, f64), b: (f64, f64)| if b.1 < a.1 { b } else { a };
+    let coarse = all.fold((0.0, cost(0.0)), best);
+    let around = (-4..=4).map(|k| coarse.0 * ratio.powf(0.2 * f64::from(k)));
+    around.map(|t| (t, cost(t))).fold(coarse, best)
+}
+
+/// The angle's slope over each sample, and the speed at its end.
+struct Pair {
+    rate_hz: f64,
+    slope: Vec<f64>,
+    speed: Vec<f64>,
+}
+
+impl Pair {
+    /// The slope some time ago; of its sample's middle.
+    fn delayed(&self, t: f64) -> Vec<f64> {
+        let last = self.slope.len() - 1;
+        let at = |k: usize| {
+            let x = (k as f64 + 0.5 - t * self.rate_hz).clamp(0.0, last as f64);
+            let j = (x as usize).min(last.saturating_sub(1));
+            self.slope[j] + (x - j as f64) * (self.slope[(j + 1).min(last)] - self.slope[j])
+        };
+        (0..self.slope.len()).map(at).collect()
+    }
+
+    /// The slope through low passes, at each sample's end.
+    fn passed(&self, tau: f64, order: usize) -> Vec<f64> {
+        let steps = (STEPS_HZ / self.rate_hz).ceil().max(1.0);
+        let share = 1.0 - (-1.0 / (self.rate_hz * steps * tau.max(1e-9))).exp();
+        let mut state = [self.slope[0]; 2];
+        let through = |x: &f64| {
+            for _ in 0..steps as usize {
+                state[0] += share * (x - state[0]);
+                state[1] += share * (state[0] - state[1]);
+            }
+            state[order - 1]
+        };
+        self.slope.iter().map(through).collect()
+    }
+
+    /// Squares of the means of what is left of the speed.
+    fn left(&self, of: &[f64]) -> f64 {
+        let m = ((MEAN_S * self.rate_hz) as usize).max(3);
+        let mean = |k: usize| (k..k + m).map(|k| self.speed[k] - of[k]).sum::<f64>() / m as f64;
+        (0..self.speed.len() / m).map(|k| mean(k * m).powi(2)).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Jumps of a motor's speed, its angle in counts of 16 bit, and what a sensor says of the speed.
+    fn jumps(rate_hz: f64, speed: impl Fn(&[f64]) -> Vec<f64>) -> Pair {
+        let fine = 2e4;
+        let n = 40_000;
+        let w: Vec<f64> = (0..n)
+            .map(|k| {
+                let t = f64::from(k) / fine;
+                300.0 * (3.0 * t).sin() + 200.0 * (1.0 - (-((t * 5.0).fract() / 0.02)).exp())
+            })
+            .collect();
+        let count = std::f64::consts::TAU / 65536.0;
+        let mut angle = 0.0;
+        let theta: Vec<f64> = w
+            .iter()
+            .map(|w| {
+                angle += w / fine;
+                (angle / count).round() * count
+            })
+            .collect();
+        let every = (fine / rate_hz) as usize;
+        let seen = speed(&w);
+        let at = |x: &[f64]| -> Vec<f64> { x.iter().skip(every - 1).step_by(every).copied().collect() };
+        let theta = at(&theta);
+        Pair {
+            rate_hz,
+            slope: theta.windows(2).map(|w| (w[1] - w[0]) * rate_hz).collect(),
+            speed: at(&seen)[1..].to_vec(),
+        }
+    }
+
+    fn rests(p: &Pair) -> [f64; 3] {
+        let delay = least(&|t| p.left(&p.delayed(t))).1;
+        let pass = |order: usize| least(&|t| p.left(&p.passed(t, order))).1;
+        [delay, pass(1), pass(2)]
+    }
+
+    #[test]
+    fn prop_a_low_pass_is_told_from_a_delay() {
+        for rate_hz in [1000.0, 2000.0, 10_000.0] {
+            for order in [1, 2] {
+                let p = jumps(rate_hz, |w| {
+                    let of = Pair {
+                        rate_hz: 2e4,
+                        slope: w.to_vec(),
+                        speed: Vec::new(),
+                    };
+                    of.passed(1.0 / (std::f64::consts::TAU * 150.0), order)
+                });
+                let [delay, one, two] = rests(&p);
+                let (right, wrong) = if order == 1 { (one, two) } else { (two, one) };
+                assert!(
+                    right < SHARE * SHARE * delay && right < wrong,
+                    "{rate_hz} {order}: {delay} {one} {two}"
+                );
+            }
+            let late = jumps(rate_hz, |w| (0..w.len()).map(|k| w[k.saturating_sub(30)]).collect());
+            let [delay, one, two] = rests(&late);
+            assert!(one.min(two) > SHARE * SHARE * delay, "{rate_hz}: {delay} {one} {two}");
+        }
+    }
+}

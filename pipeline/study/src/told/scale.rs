@@ -1,0 +1,237 @@
+//! What no equation says of an actuator of ours whose voltages are not recorded: the current tells torques by the torque constant alone,
+//! and nothing tells it. But a motor that runs as fast as its supply lets it does, and the simulated loop under the recorded
+//! command runs into the same limits.
+
+use crate::measured::bench::{Bench, BenchChannel, Role};
+use crate::search::beside::scatter;
+use crate::search::study::OfLoop;
+use crate::told::verify::{self, OfRuns, Simulated};
+use nalgebra::{DMatrix, DVector};
+use schemas::error::Result;
+use sim_worker::parameters::ActuatorParameters;
+
+/// Lanes in which a model and its neighbours are simulated.
+const LANES: usize = 8;
+/// Difference by which slopes are taken, relative.
+const STEP: f64 = 0.01;
+/// Longest step of a round, relative, and rounds.
+const LONGEST: f64 = 0.04;
+const ROUNDS: usize = 4;
+/// Gaps beyond so many times their usual size count by their size, not by its square (assumed): rotors that stick a moment
+/// longer are no constants that are off.
+const USUAL: f64 = 3.0;
+/// Pieces of a recording, each of which is left out once [s].
+const PIECE_S: f64 = 1.0;
+/// Time over which a gap of the angle is one and the same [s] (assumed).
+const ONE_S: f64 = 0.05;
+/// Share of the angle's gap on held-out runs, rms, that must be gone for the loop to be believed (assumed).
+const LEAST_SHARE: f64 = 0.2;
+/// Least standard deviation, relative (assumed): what the model's step and relays make of the limits.
+const LEAST_SD: f64 = 1e-3;
+
+/// A constant that the loop tells, how far it may be off in units of one type, one sigma relative (assumed), and what it is of an
+/// actuator.
+struct Knob {
+    name: &'static str,
+    sd: f64,
+    turn: fn(&mut ActuatorParameters, f64),
+}
+
+const KNOBS: [Knob; 4] = [
+    Knob {
+        name: "torque_constant",
+        sd: 0.02,
+        // with all that the current tells by it
+        turn: |p, f| {
+            p.drive_constant_n_m_per_a = drive_constant(p);
+            p.back_emf_v_s_per_rad *= f;
+            p.inertia_kg_m2 *= f;
+            p.viscous_n_m_s_per_rad *= f;
+            p.static_friction_n_m *= f;
+        },
+    },
+    Knob {
+        name: "resistance",
+        sd: 0.04,
+        turn: |p, f| p.phase_resistance_ohm *= f,
+    },
+    Knob {
+        name: "inductance",
+        sd: 0.03,
+        turn: |p, f| p.phase_inductance_h *= f,
+    },
+    Knob {
+        name: "supply_voltage",
+        sd: 0.01,
+        turn: |p, f| p.supply_voltage_v *= f,
+    },
+];
+
+/// Torque of an ampere that the drive reckons with [N m/A].
+fn drive_constant(p: &ActuatorParameters) -> f64 {
+    if p.drive_constant_n_m_per_a > 0.0 {
+        p.drive_constant_n_m_per_a
+    } else {
+        2.0 * p.back_emf_v_s_per_rad
+    }
+}
+
+/// A piece of a recording: normal equations of its angle's gap, and the gap itself.
+struct Piece {
+    proves: bool,
+    gram: DMatrix<f64>,
+    right: DVector<f64>,
+    squared: f64,
+    samples: usize,
+    /// samples that say one and the same
+    alike: f64,
+}
+
+/// Constants by the simulated loop, each over that of `child`. `None` where voltages are recorded, whose equation tells them
+/// better, or where the loop does not come nearer to what was measured on runs that prove.
+///
+/// # Errors
+/// Refuses files that cannot be read.
+pub fn by_loop(bench: &Bench, child: &ActuatorParameters) -> Result<Option<Vec<OfLoop>>> {
+    let has = |c: &BenchChannel| bench.channel(*c).is_some();
+    if !bench.own || BenchChannel::VOLTAGES.iter().all(has) {
+        return Ok(None);
+    }
+    // a measured supply is known already
+    let knobs: Vec<&Knob> = KNOBS
+        .iter()
+        .filter(|k| k.name != "supply_voltage" || !has(&BenchChannel::VDc))
+        .collect();
+    let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
+    let mut x = DVector::zeros(knobs.len());
+    let mut usual = f64::INFINITY;
+    let mut first = None;
+    let mut without = Vec::new();
+    let mut variance = DVector::zeros(knobs.len());
+    for _ in 0..ROUNDS {
+        let (pieces, scale) = pieces(bench, &all, child, &knobs, &x, usual);
+        usual = scale;
+        first.get_or_insert_with(|| held(&pieces));
+        let finds: Vec<&Piece> = pieces.iter().filter(|p| !p.proves).collect();
+        let step = |out: Option<usize>| -> Option<(DVector<f64>, DVector<f64>)> {
+            let kept = || {
+                finds
+                    .iter()
+                    .enumerate()
+                    .filter(|(k, _)| Some(*k) != out)
+                    .map(|(_, p)| p)
+            };
+            let left = kept().map(|p| p.squared).sum::<f64>() / kept().map(|p| p.samples).sum::<usize>().max(1) as f64;
+            let mut gram: DMatrix<f64> = kept().map(|p| &p.gram / p.alike).sum::<DMatrix<f64>>() / left;
+            let mut right: DVector<f64> = kept().map(|p| &p.right / p.alike).sum::<DVector<f64>>() / left;
+            for (i, k) in knobs.iter().enumerate() {
+                gram[(i, i)] += k.sd.powi(-2);
+                right[i] -= x[i] * k.sd.powi(-2);
+            }
+            let gram = gram.cholesky()?;
+            Some((gram.solve(&right), gram.inverse().diagonal()))
+        };
+        if finds.len() < 3 {
+            return Ok(None);
+        }
+        let Some((now, left)) = step(None) else { return Ok(None) };
+        variance = left;
+        without = (0..finds.len()).filter_map(|k| Some(&x + step(Some(k))?.0)).collect();
+        x += now.map(|d| d.clamp(-LONGEST, LONGEST));
+    }
+    let (last, _) = pieces(bench, &all, child, &knobs, &x, usual);
+    let (before, after) = (first.unwrap_or(0.0), held(&last));
+    if after.is_nan() || after > (1.0 - LEAST_SHARE) * before {
+        return Ok(None);
+    }
+    // torques, voltages, resistance and inductance that are all greater by the same make the same motion: without a measured supply
+    // only what is believed of them says how great they are
+    let common: f64 = knobs.iter().map(|k| k.sd.powi(-2)).sum();
+    let common = if has(&BenchChannel::VDc) {
+        0.0
+    } else {
+        common.sqrt().recip()
+    };
+    let told = knobs.iter().enumerate().map(|(i, k)| OfLoop {
+        name: k.name,
+        factor: x[i].exp(),
+        sd: scatter(without.iter().map(|w: &DVector<f64>| w[i]), x[i])
+            .hypot(variance[i].sqrt())
+            .hypot(common)
+            .clamp(LEAST_SD, k.sd),
+    });
+    Ok(Some(told.collect()))
+}
+
+/// Gap of the angle on what proves, or, where nothing does, on all, rms [rad].
+fn held(pieces: &[Piece]) -> f64 {
+    let any = pieces.iter().any(|p| p.proves);
+    let of = || pieces.iter().filter(|p| p.proves == any);
+    let samples = of().map(|p| p.samples).sum::<usize>().max(1);
+    (of().map(|p| p.squared).sum::<f64>() / samples as f64).sqrt()
+}
+
+/// The recordings piece by piece at `x`, logarithms of the constants over the child's; and the usual size of a gap there [rad].
+fn pieces(
+    bench: &Bench,
+    all: &[OfRuns<'_>],
+    child: &ActuatorParameters,
+    knobs: &[&Knob],
+    x: &DVector<f64>,
+    usual: f64,
+) -> (Vec<Piece>, f64) {
+    let near = |moved: Option<usize>| {
+        let mut p = child.clone();
+        for (i, k) in knobs.iter().enumerate() {
+            let more = if moved == Some(i) { STEP } else { 0.0 };
+            (k.turn)(&mut p, (x[i] + more).exp());
+        }
+        p
+    };
+    let models: Vec<ActuatorParameters> = std::iter::once(None)
+        .chain((0..knobs.len()).map(Some))
+        .map(near)
+        .collect();
+    let (mut out, mut sizes) = (Vec::new(), Vec::new());
+    for (runs, recorded) in all {
+        let simulated: Vec<Simulated> = verify::driven::<LANES>(bench, recorded, &models);
+        let angle = |s: &Simulated| s[&BenchChannel::Position].clone();
+        let (measured, [base, moved @ ..]) = (
+            &recorded.measured[&BenchChannel::Position],
+            &simulated.iter().map(angle).collect::<Vec<_>>()[..],
+        ) else {
+            continue;
+        };
+        for run in runs {
+            let within = |t: f64| run.window_s.is_none_or(|(from, to)| t >= from && t <= to);
+            let of: Vec<usize> = (0..measured.len()).filter(|k| within(recorded.time_s[*k])).collect();
+            let place = |k: &usize| ((recorded.time_s[*k] - recorded.time_s[of[0]]) / PIECE_S) as usize;
+            for part in of.chunk_by(|a, b| place(a) == place(b)) {
+                let mut piece = Piece {
+                    proves: run.role == Role::HeldOut,
+                    gram: DMatrix::zeros(knobs.len(), knobs.len()),
+                    right: DVector::zeros(knobs.len()),
+                    squared: 0.0,
+                    samples: part.len(),
+                    alike: (ONE_S * part.len() as f64 / PIECE_S).max(1.0),
+                };
+                for &k in part {
+                    let gap = measured[k] - base[k];
+                    let weight = (USUAL * usual / gap.abs().max(1e-300)).min(1.0);
+                    let slopes = DVector::from_iterator(knobs.len(), moved.iter().map(|m| (m[k] - base[k]) / STEP));
+                    piece.gram += weight * &slopes * slopes.transpose();
+                    piece.right += weight * gap * slopes;
+                    piece.squared += gap * gap;
+                    sizes.push(gap.abs());
+                }
+                out.push(piece);
+            }
+        }
+    }
+    let middle = sizes.len() / 2;
+    let usual = match sizes.get(middle) {
+        Some(_) => 1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1,
+        None => 0.0,
+    };
+    (out, usual)
+}
