@@ -344,3 +344,90 @@ fn val_the_circle_is_one_command_on_a_unit_of_another_hand() {
     let o = run(&["discrepancy", "--bench", &a, "--diagnose", &test]);
     assert!(!o.status.success(), "--diagnose needs --out");
 }
+
+/// A recording with other columns: each line's values by name are changed.
+fn recorded_otherwise(from: &Path, to: &Path, mut change: impl FnMut(&mut Vec<(String, f64)>)) {
+    let text = std::fs::read_to_string(from).unwrap();
+    let mut lines = text.lines().filter(|l| !l.starts_with('#'));
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let mut out = String::new();
+    for line in lines {
+        let values = line.split(',').map(|x| x.parse().unwrap());
+        let mut row: Vec<(String, f64)> = names.iter().map(|n| n.to_string()).zip(values).collect();
+        change(&mut row);
+        let joined = |of: &dyn Fn(&(String, f64)) -> String| row.iter().map(of).collect::<Vec<_>>().join(",") + "\n";
+        if out.is_empty() {
+            out += &joined(&|c| c.0.clone());
+        }
+        out += &joined(&|c| c.1.to_string());
+    }
+    std::fs::write(to, out).unwrap();
+}
+
+#[test]
+fn val_however_a_plain_unit_is_recorded_nothing_is_missing() {
+    const VOLTS: [&str; 3] = ["v_a", "v_b", "v_c"];
+    let dir = tempfile::tempdir().unwrap();
+    let unit = dir.path().join("unit");
+    let key = independent::make_unit(&unit, None, 1.0, 612).unwrap();
+    let against_the_legs = |row: &mut Vec<(String, f64)>| {
+        let mut volts: Vec<&mut f64> = row
+            .iter_mut()
+            .filter(|c| VOLTS.contains(&c.0.as_str()))
+            .map(|c| &mut c.1)
+            .collect();
+        let mean = volts.iter().map(|v| **v).sum::<f64>() / 3.0;
+        volts.iter_mut().for_each(|v| **v -= mean);
+    };
+    let without_voltages = |row: &mut Vec<(String, f64)>| row.retain(|c| !VOLTS.contains(&c.0.as_str()));
+    // through two low passes of the first order at 150 Hz
+    let share = 1.0 - (-std::f64::consts::TAU * 150.0 / 2e4).exp();
+    let mut last: Option<(f64, f64)> = None;
+    let mut state = [0.0; 2];
+    let speed_of_the_angle = |row: &mut Vec<(String, f64)>| {
+        let at = |row: &[(String, f64)], n: &str| row.iter().find(|c| c.0 == n).unwrap().1;
+        let (t, x) = (at(row, "t"), at(row, "theta_m"));
+        let (t0, x0) = last.filter(|l| l.0 < t).unwrap_or((t - 1.0, x));
+        if t0 == t - 1.0 {
+            state = [0.0; 2];
+        }
+        for _ in 0..(2e4 * (t - t0)).round().min(1e3) as usize {
+            state[0] += share * ((x - x0) / (t - t0) - state[0]);
+            state[1] += share * (state[0] - state[1]);
+        }
+        last = Some((t, x));
+        row.iter_mut().find(|c| c.0 == "omega_m").unwrap().1 = state[1];
+    };
+    let truth = |name: &str| key.key.constants.iter().find(|c| c.0 == name).unwrap().1;
+    type Change<'a> = Box<dyn FnMut(&mut Vec<(String, f64)>) + 'a>;
+    let ways: [(&str, f64, Change<'_>); 3] = [
+        ("voltages against the legs' mean", 0.005, Box::new(against_the_legs)),
+        ("no voltages", 0.02, Box::new(without_voltages)),
+        ("a speed of the angle's", 0.005, Box::new(speed_of_the_angle)),
+    ];
+    for (way, off, mut change) in ways {
+        let bench = [1, 2].map(|n| {
+            let name = format!("healthy_long_{n}.csv");
+            let to = dir.path().join(&name);
+            recorded_otherwise(&unit.join(&name), &to, &mut change);
+            to
+        });
+        let request = Request {
+            bench: bench.to_vec(),
+            healthy: true,
+            ..Request::default()
+        };
+        let found = study_file(&request, &|_| {}).unwrap();
+        assert_eq!((found.verdict.as_str(), found.effects.len()), ("retune", 0), "{way}");
+        for name in ["inertia", "coulomb", "torque_constant"] {
+            let c = found.retuned.iter().find(|r| r.name == name).unwrap();
+            assert!(
+                (c.value / truth(name) - 1.0).abs() < off,
+                "{way}: {name} {c:?}, {}",
+                truth(name)
+            );
+        }
+        let left_out = found.assumptions.iter().any(|a| a.contains("no sensor of its own"));
+        assert_eq!(left_out, way.starts_with("a speed"), "{way}: {:?}", found.assumptions);
+    }
+}

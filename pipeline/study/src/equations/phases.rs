@@ -216,3 +216,19 @@ fn along((from, to): (f64, f64), f: impl Fn(f64) -> f64) -> f64 {
     let at = |j: usize| f(from + (to - from) * (j as f64 + 0.5) / 6.0);
     (0..6).map(at).sum::<f64>() / 6.0
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prop_what_is_the_same_for_all_phases_is_left_out_and_noise_stays_as_it_is() {
+        for (a, row) in BETWEEN.iter().enumerate() {
+            assert!(row.iter().sum::<f64>().abs() < 1e-15);
+            for (b, other) in BETWEEN.iter().enumerate() {
+                let dot: f64 = row.iter().zip(other).map(|(x, y)| x * y).sum();
+                assert!((dot - f64::from(u8::from(a == b))).abs() < 1e-15, "{a} {b} {dot}");
+            }
+        }
+    }
+}
