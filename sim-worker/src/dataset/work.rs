@@ -2,7 +2,7 @@
 //! a second start does what is missing.
 
 use super::layout::{MANIFEST, PLAN, STAGED, features, staged, staged_part};
-use super::parts::Part;
+use super::parts::{Kind, Part};
 use super::plan::DatasetPlan;
 use super::shard::Shard;
 use super::sink::{RunResult, RunSink, Shared, with_sources};
@@ -182,12 +182,13 @@ impl Made {
 /// sequence.
 #[derive(Default)]
 struct FeaturePlans {
-    plans: Mutex<BTreeMap<(usize, usize), Arc<FeaturePlan>>>,
+    plans: Mutex<BTreeMap<(usize, usize, bool), Arc<FeaturePlan>>>,
 }
 
 impl FeaturePlans {
     fn get(&self, plan: &DatasetPlan, part: &Part) -> Arc<FeaturePlan> {
-        let key = (part.actuator, part.sequence);
+        let of_map = part.kind == Kind::Map;
+        let key = (part.actuator, part.sequence, of_map);
         let find = || self.plans.lock().expect("no panics").get(&key).cloned();
         if let Some(found) = find() {
             return found;
@@ -199,6 +200,7 @@ impl FeaturePlans {
             plan.rate_hz,
             plan.equivalent_current,
         );
+        let made = if of_map { made.in_time() } else { made };
         let mut plans = self.plans.lock().expect("no panics");
         // the latest are enough: parts come in the order of actuators
         while plans.len() > 64 {
