@@ -43,7 +43,7 @@ pub struct NumericalTestBench<const N: usize> {
     inverse: Inverse<N>,
     supply_voltage_v: [f64; N],
     same: bool,
-    all_terms: bool,
+    loaded: bool,
     /// more than the basic channels
     extra: bool,
     step: u64,
@@ -147,7 +147,7 @@ impl<const N: usize> NumericalTestBench<N> {
                 .all(|l| Arc::ptr_eq(&l.actuator, &lanes[0].actuator) && l.load_n_m == lanes[0].load_n_m),
             has_effects: effects.any(),
             effects,
-            all_terms: loaded || extra,
+            loaded,
             extra,
             constants,
             state,
@@ -177,7 +177,7 @@ impl<const N: usize> NumericalTestBench<N> {
                 lanes::steps::<N, { LOADED | CURRENTS }>(set, same, k, st, sum, fx, now);
             } else if self.has_effects {
                 lanes::steps::<N, { LOADED | term::EFFECTS }>(set, same, k, st, sum, fx, now);
-            } else if self.all_terms {
+            } else if self.loaded || self.extra {
                 lanes::steps::<N, ALL>(set, same, k, st, sum, fx, now);
             } else if Self::stops_within_reach(k, st, n) {
                 lanes::steps::<N, { term::STOPS }>(set, same, k, st, sum, fx, now);
@@ -247,7 +247,7 @@ impl<const N: usize> NumericalTestBench<N> {
     /// * `load_n_m` positive against positive motion [N m, motor side]
     pub fn set_load(&mut self, l: usize, load_n_m: f64) {
         self.constants.load[l] = self.effects.set_load(l, load_n_m);
-        self.all_terms |= load_n_m != 0.0;
+        self.loaded |= load_n_m != 0.0;
         // lanes of one actuator read the load of the first
         self.same &= N == 1;
     }
@@ -259,7 +259,7 @@ impl<const N: usize> NumericalTestBench<N> {
         self.sums = other.sums.clone();
         (self.step, self.interval) = (other.step, other.interval);
         self.effects.go_on_from(&other.effects);
-        self.all_terms |= other.all_terms;
+        self.loaded |= other.loaded;
         self.extra |= other.extra;
         lanes::resync(self.set, &self.constants, &mut self.state);
     }

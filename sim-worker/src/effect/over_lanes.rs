@@ -419,15 +419,12 @@ impl<const N: usize> LaneEffects<N> {
     /// * `mean` of the current that is drawn in the interval so far [A], NaN before its first step
     pub fn sag(&self, l: usize, mean: f64) -> f64 {
         let now = self.felt.supply[l] / self.amperes[l];
-        let of = |e: &Injection| {
-            e.source
-                * if e.draw != Draw::Power && !mean.is_nan() {
-                    mean
-                } else {
-                    now
-                }
+        let of = |e: &Injection| match e.draw {
+            Draw::Power => now,
+            Draw::Bridge | Draw::Legs if mean.is_nan() => now,
+            Draw::Bridge | Draw::Legs => mean,
         };
-        self.lanes[l].as_ref().map_or(0.0, of)
+        self.lanes[l].as_ref().map_or(0.0, |e| e.source * of(e))
     }
 
     /// Delays the current references.

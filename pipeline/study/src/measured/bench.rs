@@ -253,6 +253,13 @@ pub struct RunSpec {
     pub steady: bool,
 }
 
+impl RunSpec {
+    /// Whether a moment of its file is its own.
+    pub fn has(&self, time_s: f64) -> bool {
+        self.window_s.is_none_or(|(from, to)| time_s >= from && time_s <= to)
+    }
+}
+
 /// A bench file.
 #[derive(Clone, Debug)]
 pub struct Bench {

@@ -229,12 +229,7 @@ fn run(
     let time_spec = time_spec.ok_or_else(|| bad("channels".into(), "no time".into(), "a channel `time`"))?;
     let (column, to_s) = column(table, time_spec, &time_spec.column)?;
     let mut rows = rows.to_vec();
-    if let Some((from, to)) = spec.window_s {
-        rows.retain(|&r| {
-            let t = column[r] * to_s;
-            t >= from && t <= to
-        });
-    }
+    rows.retain(|&r| spec.has(column[r] * to_s));
     let fewest = if bench.is_comparison() { 8 } else { FEWEST };
     if rows.len() < fewest {
         let found = format!("{} rows", rows.len());

@@ -21,6 +21,20 @@ pub struct Identified {
     pub nominal: Option<f64>,
 }
 
+impl Identified {
+    /// A value and half of its interval.
+    pub fn about(name: &str, value: f64, half: f64, unit: &str, nominal: Option<f64>) -> Self {
+        Self {
+            name: name.to_string(),
+            value,
+            lo: value - half,
+            hi: value + half,
+            unit: unit.to_string(),
+            nominal,
+        }
+    }
+}
+
 /// An effect that was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundEffect {

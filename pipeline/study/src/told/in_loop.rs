@@ -1,19 +1,17 @@
 //! What only the closed loop shows of an actuator of ours: how late its controller's output is. The equations take the measured
 //! current as it came; the numerical test bench under the recorded command, late by one delay or another, says which fits.
 
-use crate::measured::bench::{Bench, BenchChannel, Role, RunSpec};
+use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::search::beside::{Beside, found, scatter};
-use crate::told::verify::{self, OfRuns, Simulated, Verification};
+use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated, Verification};
 use schemas::error::Result;
 use sim_worker::effect::{Effect, EffectKind};
 use sim_worker::parameters::ActuatorParameters;
-use sim_worker::simulate::LANES;
 
 /// Gap of the simulated speed over the noise of its sensor from which on the loop is looked into (assumed: without anything
 /// missing it is 0.99 to 1.04).
 const SUSPECT: f64 = 1.08;
-/// How many delays are tried at once, which are tried first [s], and the step between those that are tried around the best of them.
-const AT_ONCE: usize = LANES / 2;
+/// Delays that are tried first [s], and the step between those that are tried around the best of them.
 const FIRST: [f64; AT_ONCE] = [0.0, 1e-4, 2e-4, 3e-4, 4e-4, 6e-4, 8e-4, 1.1e-3];
 const FINER_S: f64 = 5e-5;
 /// Standard deviations from which a delay is one, and share of the speed's excess over its noise that it must take on held-out
@@ -108,10 +106,7 @@ fn pieces(bench: &Bench, all: &[OfRuns<'_>], child: &ActuatorParameters, delays:
         };
         let simulated: Vec<Simulated> = verify::driven::<AT_ONCE>(bench, recorded, &late);
         for run in runs {
-            let within = |r: &RunSpec, t: f64| r.window_s.is_none_or(|(from, to)| t >= from && t <= to);
-            let of: Vec<usize> = (0..measured.len())
-                .filter(|k| within(run, recorded.time_s[*k]))
-                .collect();
+            let of = recorded.samples_of(run);
             let gap = |s: &Simulated| -> f64 {
                 let speed = &s[&BenchChannel::Velocity];
                 of.iter().map(|&k| (measured[k] - speed[k]).powi(2)).sum()

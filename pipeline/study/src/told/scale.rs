@@ -5,13 +5,11 @@
 use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::search::beside::scatter;
 use crate::search::study::OfLoop;
-use crate::told::verify::{self, OfRuns, Simulated};
+use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated};
 use nalgebra::{DMatrix, DVector};
 use schemas::error::Result;
 use sim_worker::parameters::ActuatorParameters;
 
-/// Lanes in which a model and its neighbours are simulated.
-const LANES: usize = 8;
 /// Difference by which slopes are taken, relative.
 const STEP: f64 = 0.01;
 /// Longest step of a round, relative, and rounds.
@@ -43,7 +41,7 @@ const KNOBS: [Knob; 4] = [
         sd: 0.02,
         // with all that the current tells by it
         turn: |p, f| {
-            p.drive_constant_n_m_per_a = drive_constant(p);
+            p.drive_constant_n_m_per_a = p.drive_constant();
             p.back_emf_v_s_per_rad *= f;
             p.inertia_kg_m2 *= f;
             p.viscous_n_m_s_per_rad *= f;
@@ -66,15 +64,6 @@ const KNOBS: [Knob; 4] = [
         turn: |p, f| p.supply_voltage_v *= f,
     },
 ];
-
-/// Torque of an ampere that the drive reckons with [N m/A].
-fn drive_constant(p: &ActuatorParameters) -> f64 {
-    if p.drive_constant_n_m_per_a > 0.0 {
-        p.drive_constant_n_m_per_a
-    } else {
-        2.0 * p.back_emf_v_s_per_rad
-    }
-}
 
 /// A piece of a recording: normal equations of its angle's gap, and the gap itself.
 struct Piece {
@@ -194,19 +183,11 @@ fn pieces(
         .collect();
     let (mut out, mut sizes) = (Vec::new(), Vec::new());
     for (runs, recorded) in all {
-        let simulated: Vec<Simulated> = verify::driven::<LANES>(bench, recorded, &models);
-        let angle = |s: &Simulated| s[&BenchChannel::Position].clone();
-        let (measured, [base, moved @ ..]) = (
-            &recorded.measured[&BenchChannel::Position],
-            &simulated.iter().map(angle).collect::<Vec<_>>()[..],
-        ) else {
-            continue;
-        };
+        let simulated: Vec<Simulated> = verify::driven::<AT_ONCE>(bench, recorded, &models);
+        let angles: Vec<&Vec<f64>> = simulated.iter().map(|s| &s[&BenchChannel::Position]).collect();
+        let (measured, base, moved) = (&recorded.measured[&BenchChannel::Position], angles[0], &angles[1..]);
         for run in runs {
-            let within = |t: f64| run.window_s.is_none_or(|(from, to)| t >= from && t <= to);
-            let of: Vec<usize> = (0..measured.len()).filter(|k| within(recorded.time_s[*k])).collect();
-            let place = |k: &usize| ((recorded.time_s[*k] - recorded.time_s[of[0]]) / PIECE_S) as usize;
-            for part in of.chunk_by(|a, b| place(a) == place(b)) {
+            for part in recorded.parts(&recorded.samples_of(run), PIECE_S) {
                 let mut piece = Piece {
                     proves: run.role == Role::HeldOut,
                     gram: DMatrix::zeros(knobs.len(), knobs.len()),

@@ -5,13 +5,10 @@ use crate::equations::phases::size_of;
 use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::search::beside::scatter;
 use crate::search::study::Source;
-use crate::told::verify::{self, Recorded};
+use crate::told::verify::{self, AT_ONCE, Recorded};
 use schemas::error::Result;
 use sim_worker::effect::{Draw, Effect, EffectKind};
 use sim_worker::parameters::ActuatorParameters;
-
-/// Lanes in which the laws are simulated.
-const LANES: usize = 8;
 
 /// Time over which currents and voltages are averaged [s] (assumed): the chatter of recorded and simulated relays is not the same.
 const MEAN_S: f64 = 0.02;
@@ -84,12 +81,9 @@ fn pieces(bench: &Bench, child: &ActuatorParameters) -> Result<Vec<Piece>> {
     let mut pieces = Vec::new();
     for (runs, recorded) in &all {
         let Some(drawn) = Drawn::of(recorded) else { continue };
-        let simulated = verify::driven::<LANES>(bench, recorded, &laws);
+        let simulated = verify::driven::<AT_ONCE>(bench, recorded, &laws);
         for run in runs.iter().filter(|r| r.role != Role::HeldOut) {
-            let within = |t: f64| run.window_s.is_none_or(|(from, to)| t >= from && t <= to);
-            let of: Vec<usize> = (0..recorded.time_s.len())
-                .filter(|k| within(recorded.time_s[*k]))
-                .collect();
+            let of = recorded.samples_of(run);
             let dropped = |x: &[f64]| means(recorded, &of, |k| child.supply_voltage_v - x[k]);
             pieces.push(Piece {
                 measured: dropped(drawn.supply),
@@ -159,10 +153,8 @@ impl<'a> Drawn<'a> {
 
 /// Means over [`MEAN_S`] of the samples that are given.
 fn means(r: &Recorded, of: &[usize], x: impl Fn(usize) -> f64) -> Vec<f64> {
-    let place = |k: usize| ((r.time_s[k] - r.time_s[of[0]]) / MEAN_S) as usize;
-    let by = of.chunk_by(|a, b| place(*a) == place(*b));
-    by.map(|k| k.iter().map(|k| x(*k)).sum::<f64>() / k.len() as f64)
-        .collect()
+    let mean = |k: &[usize]| k.iter().map(|k| x(*k)).sum::<f64>() / k.len() as f64;
+    r.parts(of, MEAN_S).map(mean).collect()
 }
 
 #[cfg(test)]

@@ -117,26 +117,12 @@ fn constants(o: &Outcome, i: &Intervals) -> Vec<Identified> {
         let factor: f64 = factor.map(|f| f.1).product();
         let value = factor * n.nominal * (1.0 + o.model.nuisance[k]);
         let half = factor * n.nominal.abs() * i.nuisance[k];
-        out.push(Identified {
-            name: n.name.to_string(),
-            value,
-            lo: value - half,
-            hi: value + half,
-            unit: n.unit.to_string(),
-            nominal: Some(n0.nominal),
-        });
+        out.push(Identified::about(n.name, value, half, n.unit, Some(n0.nominal)));
     }
     // after all that stand in the correlations
     if let Some((nominal, sd)) = m.bench.rig.supply_of_file {
         let (value, half) = (m.bench.rig.supply_voltage, NORMAL_95 * sd);
-        out.push(Identified {
-            name: "supply_voltage".into(),
-            value,
-            lo: value - half,
-            hi: value + half,
-            unit: "V".into(),
-            nominal: Some(nominal),
-        });
+        out.push(Identified::about("supply_voltage", value, half, "V", Some(nominal)));
     }
     out
 }
@@ -178,15 +164,13 @@ fn looped(o: &Outcome, mut all: Vec<Identified>, correlation: Vec<f64>) -> (Vec<
             _ => continue,
         };
         let value = nominal * l.factor;
-        let half = NORMAL_95 * l.sd * value;
-        all.push(Identified {
-            name: l.name.to_string(),
+        all.push(Identified::about(
+            l.name,
             value,
-            lo: value - half,
-            hi: value + half,
-            unit: unit.to_string(),
-            nominal: Some(nominal),
-        });
+            NORMAL_95 * l.sd * value,
+            unit,
+            Some(nominal),
+        ));
     }
     let m = all.len();
     let told = |a: usize, b: usize| match (a < n, b < n) {

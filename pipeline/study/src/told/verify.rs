@@ -10,11 +10,14 @@ use schemas::error::Result;
 use schemas::fault::FaultState;
 use sim_worker::monitor::{MonitorModel, STEP_S};
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::simulate::LANES;
 use sim_worker::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+/// Models that are simulated side by side.
+pub(super) const AT_ONCE: usize = LANES / 2;
 /// Time of all recordings together that is simulated at most [s] (assumed: a study is waited for).
 const LONGEST_S: f64 = 30.0;
 /// A change of the command is a step where it is so many times its neighbours' (assumed).
@@ -99,6 +102,19 @@ pub(super) struct Recorded {
     load_n_m: f64,
     /// samples by which the gap is judged
     counted: Vec<bool>,
+}
+
+impl Recorded {
+    /// Samples of one of its runs.
+    pub(super) fn samples_of(&self, run: &RunSpec) -> Vec<usize> {
+        (0..self.time_s.len()).filter(|k| run.has(self.time_s[*k])).collect()
+    }
+
+    /// Samples in pieces of a length [s].
+    pub(super) fn parts<'a>(&'a self, samples: &'a [usize], length_s: f64) -> impl Iterator<Item = &'a [usize]> {
+        let place = move |k: usize| ((self.time_s[k] - self.time_s[samples[0]]) / length_s) as usize;
+        samples.chunk_by(move |a, b| place(*a) == place(*b))
+    }
 }
 
 /// Simulated channels of a recording, sample by sample.
@@ -293,10 +309,7 @@ fn recorded(
     }
     let counted = |t: &f64| {
         let of = |r: &&&RunSpec| roles.contains(&r.role);
-        group
-            .iter()
-            .filter(of)
-            .any(|r| r.window_s.is_none_or(|(from, to)| *t >= from && *t <= to))
+        group.iter().filter(of).any(|r| r.has(*t))
     };
     Ok(Ok(Recorded {
         file: spec
