@@ -117,8 +117,8 @@ impl LiveArgs {
         for path in &self.sensors {
             models.extend(catalogue::sensors(&path.to_string_lossy())?);
         }
-        let mut sensors = vec!["none".to_string()];
-        sensors.extend(models.iter().map(|m| m.fingerprint()));
+        let mut sensors = vec![("none".to_string(), Default::default())];
+        sensors.extend(models.iter().map(|m| (m.fingerprint(), m.sampling)));
         let known = Known {
             actuators,
             sequences,

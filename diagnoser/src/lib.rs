@@ -20,7 +20,7 @@
 //! # fn main() -> schemas::error::Result<()> {
 //! let recording = Recording::open(Path::new("run.parquet"))?;
 //! let (actuator, sequence) = (ActuatorParameters::reference(), catalogue::sequence("preflight")?);
-//! let plan = FeaturePlan::new(&actuator, &sequence, recording.provenance.rate_hz, false);
+//! let plan = FeaturePlan::new(&actuator, &sequence, recording.provenance.rate_hz, false, Default::default());
 //! let mut extractor = FeatureExtractor::new(Arc::new(plan));
 //! recording.replay(8192, &mut extractor)?;
 //! // it must be a test of the kind that the maps are for: `header.kind`

@@ -21,6 +21,7 @@ use schemas::stream::wire::to_number;
 use schemas::test_kind::TestKind;
 use sim_worker::extractor::{FeatureExtractor, FeaturePlan};
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::Sampling;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use track::{Arrival, Track};
@@ -49,8 +50,8 @@ pub struct Known {
     pub actuators: Vec<Arc<ActuatorParameters>>,
     /// that frames may name
     pub sequences: Vec<TestSequence>,
-    /// fingerprints of sensor models, `none` included
-    pub sensors: Vec<String>,
+    /// fingerprints of sensor models, `none` included, and what samples are by them
+    pub sensors: Vec<(String, Sampling)>,
     /// models of units that are known, by the names of their actuators: these are interpreted by them, whatever their frames
     /// name
     pub units: BTreeMap<String, Arc<ActuatorParameters>>,
@@ -161,7 +162,7 @@ fn without_maps(mut lacking: Vec<String>, x: &FeatureExtractor) -> Diagnosis {
     Diagnosis::without_maps(incomplete(&lacking), features)
 }
 
-type Plans = HashMap<(u64, u64, u64, bool), Arc<FeaturePlan>>;
+type Plans = HashMap<(u64, u64, u64, (bool, Sampling)), Arc<FeaturePlan>>;
 
 /// Forgets plans that no remembered stream uses, where there are many; whether there is room for one of `rows` samples.
 fn make_room(plans: &mut Plans, rows: u64) -> bool {
@@ -331,10 +332,11 @@ impl Live {
             let known = known.map(|s| format!("{} ({})", s.fingerprint(), s.name)).collect();
             return Err(format!("unknown sequence {}; known: {}", run.sequence, list(known)));
         };
-        if !self.known.sensors.contains(&run.sensors) {
-            let known = list(self.known.sensors.clone());
+        let Some((_, sampling)) = self.known.sensors.iter().find(|s| s.0 == run.sensors) else {
+            let known = list(self.known.sensors.iter().map(|s| s.0.clone()).collect());
             return Err(format!("unknown sensors `{}`; known: {known}", run.sensors));
-        }
+        };
+        let sampling = *sampling;
         if !(LOWEST_RATE_HZ * (1.0 - 1e-6)..=HIGHEST_RATE_HZ * (1.0 + 1e-6)).contains(&run.rate_hz) {
             return Err(format!(
                 "rate {} Hz; allowed: {LOWEST_RATE_HZ} to {HIGHEST_RATE_HZ} Hz",
@@ -347,7 +349,7 @@ impl Live {
             unit.as_ref().map_or(track.header().parameters, |u| to_number(u)),
             track.header().sequence,
             run.rate_hz.to_bits(),
-            equivalent,
+            (equivalent, sampling),
         );
         let rows = (sequence.duration_s() * run.rate_hz) as u64;
         if !self.plans.contains_key(&id) && !make_room(&mut self.plans, rows) {
@@ -356,7 +358,7 @@ impl Live {
         let plan = self
             .plans
             .entry(id)
-            .or_insert_with(|| Arc::new(FeaturePlan::new(actuator, sequence, run.rate_hz, equivalent)))
+            .or_insert_with(|| Arc::new(FeaturePlan::new(actuator, sequence, run.rate_hz, equivalent, sampling)))
             .clone();
         let needed = if equivalent {
             ChannelSet::of([Channel::Com, Channel::ThetaM, Channel::OmegaM, Channel::IEq])

@@ -278,7 +278,7 @@ fn role_live(diagnoses: u64, busy: bool, core: Option<usize>) {
     let known = Known {
         actuators: vec![Arc::new(ActuatorParameters::reference())],
         sequences: vec![sim_worker::catalogue::sequence("preflight").unwrap()],
-        sensors: vec![sensors.fingerprint()],
+        sensors: vec![(sensors.fingerprint(), sensors.sampling)],
         units: Default::default(),
     };
     let library = MapLibrary::cache(&sim_worker::cache::cache_dir().join("maps"));
@@ -430,7 +430,13 @@ fn extractor() {
     let view = run.view();
     let actuator = ActuatorParameters::reference();
     let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
-    let plan = Arc::new(FeaturePlan::new(&actuator, &sequence, RATE_HZ, false));
+    let plan = Arc::new(FeaturePlan::new(
+        &actuator,
+        &sequence,
+        RATE_HZ,
+        false,
+        Default::default(),
+    ));
     let bare = |v: &TelemetryView<'_>| {
         [Channel::Com, Channel::ThetaM, Channel::OmegaM]
             .iter()
@@ -462,7 +468,13 @@ fn extractor() {
     let dense = rate(to - from, || through(&plan, false, from, to));
     let all = rate(30_000, || through(&plan, true, 0, 30_000));
     let with_sm = rate(30_000, || {
-        let plan = Arc::new(FeaturePlan::new(&actuator, &sequence, RATE_HZ, false));
+        let plan = Arc::new(FeaturePlan::new(
+            &actuator,
+            &sequence,
+            RATE_HZ,
+            false,
+            Default::default(),
+        ));
         through(&plan, true, 0, 30_000)
     });
     println!("\nextractor, one core, frames of 100 rows [million rows a second]");

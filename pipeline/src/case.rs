@@ -129,7 +129,7 @@ pub fn extract(m: &Measured, plan: Arc<FeaturePlan>) -> FeatureExtractor {
     x
 }
 
-/// The sensor model of a recording: named, said by the file, or recognised from its values.
+/// The sensor model of a recording: named, said by the file, those that the study of its unit saw, or recognised from its values.
 ///
 /// # Errors
 /// Refuses sensors that are not known.
@@ -139,6 +139,10 @@ pub fn sensors_of(path: &Path, m: &Measured, settings: &Settings) -> Result<Opti
     }
     if let Some(setup) = &m.setup {
         return Ok(setup.sensors.clone());
+    }
+    let of_unit = settings.unit.as_ref().and_then(|u| u.sensors.clone());
+    if m.sensors.is_empty() && of_unit.is_some() {
+        return Ok(of_unit);
     }
     let reference = sim_worker::catalogue::sensors("reference")?;
     if m.sensors == "none" {

@@ -221,7 +221,7 @@ fn motion(setup: &TestSetup, corners: &[FaultState], seen: &[Collector], finding
             "a slower or smaller sine: at the limit the current says nothing of friction".into(),
         );
     }
-    let plan = FeaturePlan::new(a, sequence, RATE_HZ, false);
+    let plan = FeaturePlan::new(a, sequence, RATE_HZ, false, Default::default());
     if let Some(w) = plan.regime {
         let r = w.from as usize - 1..w.to as usize;
         let drift = |run: &Collector| {

@@ -13,7 +13,7 @@ use ema_study::search::study::Outcome;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
-use ema_study::told::{in_loop, next, persist, scale, source, tell, verify};
+use ema_study::told::{in_loop, next, persist, scale, sensors, source, tell, verify};
 use schemas::error::{Error, write_whole};
 use serde_json::Value;
 use sim_worker::effect::{Effect, EffectKind, Note};
@@ -25,6 +25,9 @@ use std::sync::Arc;
 const FURTHER: f64 = 2.0;
 
 pub use ema_study::REFERENCE;
+
+/// What stands above the sensors that a study saw.
+const SEEN_BY: &str = "# Sensors as a study saw them in its recordings: of pre-flight tests of the same unit too, where they do not say theirs.\n";
 
 /// What a study has written, and what it found.
 pub struct Written {
@@ -151,6 +154,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
     let mut new_text = None;
     let mut rig_text = None;
     let mut against = None;
+    let mut seen_by = None;
     if bench.is_comparison() {
         findings = compare::compare(&bench, &runs);
         findings.model = name.clone();
@@ -243,6 +247,15 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                         .retain(|(n, _)| n != EffectKind::ControlDelay.name());
                 }
                 findings.verification = Some(verification);
+                if out.is_some() {
+                    let of_angle = outcome.material.bench.made_of_angle.is_some();
+                    let child = match &made {
+                        Ok(text) if outcome.verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
+                        _ => actuator.clone(),
+                    };
+                    let bench = as_read.clone();
+                    seen_by = interruptible(tell_user, move |_| sensors::seen(&bench, &child, of_angle))??;
+                }
             }
             new = Some(made);
         }
@@ -291,6 +304,15 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
     if let Some(dir) = out {
         if let (Some(path), Some(text)) = (&written_model, &new_text) {
             write_whole(path, text.as_bytes())?;
+            let path = dir.join(crate::unit::SENSORS);
+            match &seen_by {
+                Some(s) => write_whole(&path, format!("{SEEN_BY}{}", s.to_toml()).as_bytes())?,
+                // of an earlier study
+                None if path.exists() => {
+                    std::fs::remove_file(&path).map_err(|e| Error::io(&path, "cannot be removed", e))?;
+                }
+                None => {}
+            }
         }
         if let (Some(path), Some(text)) = (&written_rig, &rig_text) {
             write_whole(path, text.as_bytes())?;

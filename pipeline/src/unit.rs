@@ -46,6 +46,9 @@ pub fn folder(path: &Path) -> Result<BTreeMap<String, Arc<UnitFile>>> {
 /// What a unit is of, where no file says it.
 pub(crate) const REFERENCE: &str = "the reference actuator (values assumed)";
 
+/// File of the sensors that a study saw, in its folder.
+pub(crate) const SENSORS: &str = "sensors.toml";
+
 /// What a unit begins with.
 pub struct Beginning {
     /// its type, and where that is from; the reference if `None`
@@ -87,7 +90,11 @@ pub fn begin(file: &Path, with: Beginning) -> Result<UnitFile> {
         file.file_stem()
             .map_or_else(|| "unit".into(), |s| s.to_string_lossy().into_owned())
     };
-    let unit = UnitFile::new(with.name.unwrap_or_else(stem), source, actuator, with.spread);
+    let mut unit = UnitFile::new(with.name.unwrap_or_else(stem), source, actuator, with.spread);
+    let sensors = with.study.as_ref().map(|dir| dir.join(SENSORS)).filter(|f| f.exists());
+    if let Some(file) = sensors {
+        unit.sensors = sim_worker::catalogue::sensors(&file.to_string_lossy())?;
+    }
     unit.save(file)?;
     Ok(unit)
 }
@@ -137,6 +144,7 @@ pub fn to_json(unit: &UnitFile) -> serde_json::Value {
         "tests": unit.taken(),
         "healthy_tests": unit.healthy(),
         "reference": unit.reference(),
+        "sensors": unit.sensors.as_ref().map(|s| &s.name),
         "constants": constants(unit).into_iter().map(constant).collect::<Vec<_>>(),
         "present": last.map(test),
         "repairs": unit.repairs.iter().map(|r| serde_json::json!({"part": r.part.name(), "note": r.note})).collect::<Vec<_>>(),

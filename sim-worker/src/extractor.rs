@@ -7,6 +7,7 @@ pub use plan::{FeaturePlan, REGIME_S, Window};
 
 use crate::onset::Onset;
 use crate::reversal::ReversalTrack;
+use crate::sensor::SpeedOfAngle;
 use crate::step_witness::{Sample, StepWitness};
 use crate::suspect::{Jumps, Outlier, PhaseSum};
 use crate::witness::{SineWitness, imbalance, torque_current};
@@ -14,7 +15,7 @@ use plan::RESOLVER_BITS;
 use schemas::channel::Channel;
 use schemas::error::{Error, Result};
 use schemas::feature::{Raw, RawFeatures};
-use schemas::telemetry::{TelemetryHeader, TelemetrySink, TelemetryView};
+use schemas::telemetry::{TelemetryBuffer, TelemetryHeader, TelemetrySink, TelemetryView};
 use std::sync::Arc;
 
 /// Resolver counts that a motor position must leave rest by to count as moving.
@@ -84,6 +85,28 @@ pub struct FeatureExtractor {
     /// sums of the torque-giving current and samples, there and back
     legs: [(f64, u64); 2],
     supply: (f64, u64),
+    of_angle: Option<OfAngle>,
+}
+
+/// Telemetry whose speed is the mean one of the angle over a moment.
+#[derive(Clone, Debug)]
+struct OfAngle {
+    samples: TelemetryBuffer,
+    speed: SpeedOfAngle,
+}
+
+impl OfAngle {
+    /// Takes the next samples, with that speed.
+    fn take(&mut self, view: &TelemetryView<'_>) {
+        self.samples.copy_from(view);
+        let Some(theta) = view.column(Channel::ThetaM) else {
+            return;
+        };
+        let speeds = self.samples.column_mut(Channel::OmegaM);
+        for ((o, &x), n) in speeds.into_iter().flatten().zip(theta).zip(view.first..) {
+            *o = self.speed.next(n, x);
+        }
+    }
 }
 
 impl FeatureExtractor {
@@ -93,6 +116,10 @@ impl FeatureExtractor {
             reversals: plan.slow.map(ReversalTrack::new),
             legs: Default::default(),
             supply: Default::default(),
+            of_angle: plan.speed_is_of_angle().then(|| OfAngle {
+                samples: TelemetryBuffer::new(plan.wanted(), 128),
+                speed: SpeedOfAngle::new(plan.rate_hz),
+            }),
             plan,
             rest_rad: None,
             regime_seen: 0,
@@ -129,6 +156,17 @@ impl FeatureExtractor {
         if view.rows == 0 {
             return;
         }
+        if let Some(mut of_angle) = self.of_angle.take() {
+            of_angle.take(view);
+            self.take(&of_angle.samples.view());
+            self.of_angle = Some(of_angle);
+        } else {
+            self.take(view);
+        }
+    }
+
+    /// As [`FeatureExtractor::push`], of samples whose speed is what it is to be.
+    fn take(&mut self, view: &TelemetryView<'_>) {
         let theta = view.column(Channel::ThetaM);
         if self.rest_rad.is_none() && view.first == 1 {
             self.rest_rad = theta.map(|t| t[0]);

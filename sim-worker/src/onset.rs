@@ -2,6 +2,7 @@
 //! late shows, whatever the faults.
 
 use crate::parameters::ActuatorParameters;
+use crate::sensor::{Sampling, SpeedOfAngle, SpeedSource};
 use crate::simulate::{Experiment, Run, simulate};
 use crate::test_bench::Lane;
 use schemas::channel::{Channel, ChannelSet};
@@ -41,9 +42,16 @@ impl OnsetPlan {
     /// From a step of the healthy actuator; none where it is too short, too small or too slow to tell.
     ///
     /// * `height_rad` of the step [rad, user side]
+    /// * `sampling` what samples are
     /// * `no_load_rad_per_s` of the motor
-    pub fn new(actuator: &ActuatorParameters, height_rad: f64, rate_hz: f64, no_load_rad_per_s: f64) -> Option<Self> {
-        let step = simulated(actuator, height_rad, rate_hz).ok()?;
+    pub fn new(
+        actuator: &ActuatorParameters,
+        height_rad: f64,
+        rate_hz: f64,
+        sampling: Sampling,
+        no_load_rad_per_s: f64,
+    ) -> Option<Self> {
+        let step = simulated(actuator, height_rad, rate_hz, sampling).ok()?;
         let greatest = step.rows.iter().fold(0.0, |most: f64, r| most.max(r.1));
         let (slow, fast) = SPEED_SHARES;
         let mut plan = Self {
@@ -131,18 +139,24 @@ impl Onset {
 struct Rows {
     sign: f64,
     rows: Vec<(f64, f64)>,
+    /// where the speed is that of the angle
+    of_angle: Option<SpeedOfAngle>,
 }
 
 impl TelemetrySink for Rows {
     fn accept(&mut self, _: &TelemetryHeader, view: &TelemetryView<'_>) -> Result<()> {
-        if let (Some(w), Some(i)) = (view.column(Channel::OmegaM), view.column(Channel::IEq)) {
-            self.rows.extend(w.iter().zip(i).map(|(w, i)| (self.sign * w, *i)));
+        let columns = [Channel::OmegaM, Channel::IEq, Channel::ThetaM].map(|c| view.column(c));
+        if let [Some(w), Some(i), Some(theta)] = columns {
+            for (((w, i), theta), n) in w.iter().zip(i).zip(theta).zip(view.first..) {
+                let speed = self.of_angle.as_mut().map_or(*w, |s| s.next(n, *theta));
+                self.rows.push((self.sign * speed, *i));
+            }
         }
         Ok(())
     }
 }
 
-fn simulated(actuator: &ActuatorParameters, height_rad: f64, rate_hz: f64) -> Result<Rows> {
+fn simulated(actuator: &ActuatorParameters, height_rad: f64, rate_hz: f64, sampling: Sampling) -> Result<Rows> {
     let step = Segment {
         command: Command::Step { height_rad },
         start_s: 0.0,
@@ -152,8 +166,8 @@ fn simulated(actuator: &ActuatorParameters, height_rad: f64, rate_hz: f64) -> Re
         name: "step".into(),
         segments: vec![step],
     };
-    let channels = ChannelSet::of([Channel::OmegaM, Channel::IEq]);
-    let experiment = Experiment::new(sequence, rate_hz, channels, None, actuator.step_s)?;
+    let channels = ChannelSet::of([Channel::OmegaM, Channel::IEq, Channel::ThetaM]);
+    let experiment = Experiment::new(sequence, rate_hz, channels, None, actuator.step_s)?.sampled(sampling);
     let lane = Lane {
         actuator: Arc::new(actuator.clone()),
         fault: FaultState::NOMINAL,
@@ -168,6 +182,7 @@ fn simulated(actuator: &ActuatorParameters, height_rad: f64, rate_hz: f64) -> Re
     let mut rows = [Rows {
         sign: 1f64.copysign(height_rad),
         rows: Vec::new(),
+        of_angle: (sampling.speed == SpeedSource::Angle).then(|| SpeedOfAngle::new(rate_hz)),
     }];
     simulate(&experiment, &[run], &mut rows, || true)?;
     let [rows] = rows;
@@ -211,7 +226,13 @@ mod tests {
         rate_hz: f64,
     ) -> (Vec<String>, FeatureExtractor) {
         let sequence = catalogue::sequence("preflight").unwrap();
-        let mut x = FeatureExtractor::new(Arc::new(FeaturePlan::new(actuator, &sequence, rate_hz, false)));
+        let mut x = FeatureExtractor::new(Arc::new(FeaturePlan::new(
+            actuator,
+            &sequence,
+            rate_hz,
+            false,
+            Sampling::default(),
+        )));
         x.push(view);
         (x.missing(), x)
     }

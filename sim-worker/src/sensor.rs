@@ -9,7 +9,103 @@ use schemas::error::Result;
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::telemetry::{TelemetryBuffer, TelemetryView, TelemetryViewMut};
 use schemas::toml_section::{Section, quoted};
+use std::collections::VecDeque;
 use std::f64::consts::TAU;
+
+/// What a sample of a phase current is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum CurrentSampling {
+    /// its mean over the sample's interval
+    #[default]
+    Mean,
+    /// its value at the end of the interval, chatter of the relays included
+    Point,
+}
+
+impl CurrentSampling {
+    /// Words of a file.
+    pub const NAMES: [&str; 2] = ["mean", "point"];
+
+    /// Word of a file.
+    pub fn name(self) -> &'static str {
+        Self::NAMES[self as usize]
+    }
+}
+
+/// Where the motor speed comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum SpeedSource {
+    /// a sensor of its own
+    #[default]
+    Sensor,
+    /// no sensor that says more than the angle does, later: features take the change of the angle over each interval in its place
+    Angle,
+}
+
+impl SpeedSource {
+    /// Words of a file.
+    pub const NAMES: [&str; 2] = ["sensor", "angle"];
+
+    /// Word of a file.
+    pub fn name(self) -> &'static str {
+        Self::NAMES[self as usize]
+    }
+}
+
+/// What the samples of a recording are, whatever their noise.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Sampling {
+    /// of the phase currents and of what is made of them
+    pub currents: CurrentSampling,
+    /// of the motor speed
+    pub speed: SpeedSource,
+}
+
+/// The mean speed over the last moment, of the angle alone.
+#[derive(Clone, Debug)]
+pub struct SpeedOfAngle {
+    rate_hz: f64,
+    /// samples that the moment has
+    most: usize,
+    /// number of the last sample, and the last angles [rad]
+    last: u64,
+    angles: VecDeque<f64>,
+}
+
+/// The moment [s] (assumed): a count of the angle is then small beside its change, and a turn long beside it.
+const MOMENT_S: f64 = 1e-3;
+
+impl SpeedOfAngle {
+    /// * `rate_hz` of the samples
+    pub fn new(rate_hz: f64) -> Self {
+        let most = ((MOMENT_S * rate_hz).round() as usize).max(1);
+        Self {
+            rate_hz,
+            most,
+            last: 0,
+            angles: VecDeque::with_capacity(most + 1),
+        }
+    }
+
+    /// Samples before one that its speed is made of.
+    pub fn samples(rate_hz: f64) -> u64 {
+        Self::new(rate_hz).most as u64
+    }
+
+    /// Speed at sample `n` of angle `x` [rad], in rad/s; 0 at the first one of all and after a gap.
+    pub fn next(&mut self, n: u64, x: f64) -> f64 {
+        if n != self.last + 1 {
+            self.angles.clear();
+        }
+        self.last = n;
+        self.angles.push_back(x);
+        if self.angles.len() > self.most + 1 {
+            self.angles.pop_front();
+        }
+        let steps = (self.angles.len() - 1).max(1) as f64;
+        (x - self.angles[0]) * self.rate_hz / steps
+    }
+}
 
 /// Resolution and noise of the sensors. All values of the built-in model are assumed.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +124,8 @@ pub struct SensorModel {
     pub current_noise_a: f64,
     /// half-width of the uniform offset of each phase, drawn once a run [A]
     pub current_offset_a: f64,
+    /// what samples are: keys `current_sampling` and `speed_source`, which may be left out
+    pub sampling: Sampling,
 }
 
 impl SensorModel {
@@ -40,7 +138,25 @@ impl SensorModel {
         let low = |x: f64| x >= 0.0;
         const BITS: &str = "a whole number from 1 to 24";
         const LOW: &str = "a finite number of at least 0";
+        let one_of = |key: &str, names: [&'static str; 2], s: &mut Section| -> Result<bool> {
+            let found = s.text_or(key, names[0])?;
+            match names.iter().position(|n| *n == found) {
+                Some(k) => Ok(k == 1),
+                None => Err(s.bad(key, found, names.join(", "))),
+            }
+        };
+        let sampling = Sampling {
+            currents: match one_of("current_sampling", CurrentSampling::NAMES, &mut s)? {
+                false => CurrentSampling::Mean,
+                true => CurrentSampling::Point,
+            },
+            speed: match one_of("speed_source", SpeedSource::NAMES, &mut s)? {
+                false => SpeedSource::Sensor,
+                true => SpeedSource::Angle,
+            },
+        };
         let m = Self {
+            sampling,
             name: s.text("name", "a text")?,
             resolver_bits: s.number("resolver_bits", bits, BITS)? as u32,
             speed_noise_rad_per_s: s.number("speed_noise_rad_per_s", low, LOW)?,
@@ -78,13 +194,33 @@ impl SensorModel {
     /// A file that reads back as this model, bit for bit.
     pub fn to_toml(&self) -> String {
         let lines = self.values().map(|(key, x)| format!("{key} = {x:?}\n"));
-        format!("name = {}\n{}", quoted(&self.name), lines.concat())
+        let words = self.words().map(|(key, word)| format!("{key} = \"{word}\"\n"));
+        format!(
+            "name = {}\n{}{}",
+            quoted(&self.name),
+            lines.concat(),
+            words.collect::<String>()
+        )
     }
 
     /// Of all values, not of the name.
     pub fn fingerprint(&self) -> String {
         let v = self.values().map(|(_, x)| exact(x));
-        fingerprint(&format!("sensors;{}", v.join(",")))
+        let words: String = self.words().map(|(key, word)| format!(";{key} {word}")).collect();
+        fingerprint(&format!("sensors;{}{words}", v.join(",")))
+    }
+
+    /// Keys and words of what is not as telemetry usually is.
+    fn words(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        let (is, usual) = (self.sampling, Sampling::default());
+        let currents = (is.currents != usual.currents).then(|| ("current_sampling", is.currents.name()));
+        let speed = (is.speed != usual.speed).then(|| ("speed_source", is.speed.name()));
+        currents.into_iter().chain(speed)
+    }
+
+    /// What the samples of a model are, or of true values.
+    pub fn sampling_of(model: Option<&Self>) -> Sampling {
+        model.map_or_else(Sampling::default, |m| m.sampling)
     }
 
     /// Fingerprint of a model, or `none`.
@@ -101,6 +237,8 @@ pub struct SensorNoise {
     offset: [f64; 3],
     /// speed, phase A, B, C of each row, standard normal
     rows: Vec<[f32; 4]>,
+    /// where the rotor rests within a count of its resolver, uniform in -0.5..0.5: no recording says it
+    within_count: f64,
 }
 
 impl SensorNoise {
@@ -112,7 +250,12 @@ impl SensorNoise {
         let rows = (0..rows)
             .map(|_| std::array::from_fn(|_| rng.sample::<f32, _>(StandardNormal)))
             .collect();
-        Self { offset, rows }
+        let within_count = rng.random_range(-0.5..0.5);
+        Self {
+            offset,
+            rows,
+            within_count,
+        }
     }
 }
 
@@ -146,16 +289,17 @@ impl Sensors<'_> {
         let lsb = self.model.resolver_count_rad();
         let inv_lsb = 1.0 / lsb;
         let nearest = crate::trig::nearest;
-        let rest = nearest(self.rest_angle_rad * inv_lsb);
+        let within = self.noise.within_count;
+        let rest = nearest(self.rest_angle_rad * inv_lsb + within);
         let mut user = block.take(Channel::ThetaU);
         if let Some(theta) = block.column_mut(Channel::ThetaM) {
             if let Some(user) = &mut user {
                 for (o, &x) in user.iter_mut().zip(&*theta) {
-                    *o = round((nearest(x * inv_lsb) - rest) * lsb / self.gear_ratio);
+                    *o = round((nearest(x * inv_lsb + within) - rest) * lsb / self.gear_ratio);
                 }
             }
             for x in theta {
-                *x = round(nearest(*x * inv_lsb) * lsb);
+                *x = round(nearest(*x * inv_lsb + within) * lsb);
             }
         }
         block.put(Channel::ThetaU, user);
@@ -204,8 +348,17 @@ mod tests {
         m.name = "a \"b\"".into();
         m.current_noise_a = 0.1 / 3.0;
         m.speed_noise_rad_per_s = 0.0;
+        let usual = m.fingerprint();
+        m.sampling.currents = CurrentSampling::Point;
+        m.sampling.speed = SpeedSource::Angle;
+        assert_ne!(m.fingerprint(), usual);
         let again = SensorModel::from_section(parse("a.toml", &m.to_toml()).unwrap()).unwrap();
         assert_eq!(again, m);
         assert_eq!(again.fingerprint(), m.fingerprint());
+        let wrong = m.to_toml().replace("\"point\"", "\"points\"");
+        let e = SensorModel::from_section(parse("a.toml", &wrong).unwrap())
+            .unwrap_err()
+            .to_string();
+        assert!(e.contains("current_sampling") && e.contains("mean, point"), "{e}");
     }
 }

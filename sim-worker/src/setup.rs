@@ -102,7 +102,14 @@ impl TestSetup {
 
     /// What features are taken from; runs the simplified model.
     pub fn feature_plan(&self) -> FeaturePlan {
-        FeaturePlan::new(&self.actuator, &self.sequence, self.rate_hz, self.equivalent_current)
+        let sampling = SensorModel::sampling_of(self.sensors.as_ref());
+        FeaturePlan::new(
+            &self.actuator,
+            &self.sequence,
+            self.rate_hz,
+            self.equivalent_current,
+            sampling,
+        )
     }
 
     /// The experiment that simulates it.

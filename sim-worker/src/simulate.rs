@@ -1,7 +1,7 @@
 //! Runs the numerical test bench through a sequence and pushes telemetry into sinks.
 
 use crate::command::CommandTrack;
-use crate::sensor::{SensorModel, SensorNoise, Sensors};
+use crate::sensor::{CurrentSampling, Sampling, SensorModel, SensorNoise, Sensors};
 use crate::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::{Error, Result};
@@ -26,6 +26,8 @@ pub struct Experiment {
     pub channels: ChannelSet,
     /// none: true values
     pub sensors: Option<SensorModel>,
+    /// what samples are, with sensors or without
+    pub sampling: Sampling,
     /// step and the commands of all steps, worked out once for all runs of that step
     commands: OnceLock<(f64, Vec<f64>)>,
 }
@@ -56,12 +58,18 @@ impl Experiment {
             sequence,
             rate_hz,
             channels,
+            sampling: SensorModel::sampling_of(sensors.as_ref()),
             sensors,
             commands: OnceLock::new(),
         })
     }
 
-    /// The same without sensors, with other channels.
+    /// The same of samples of another sort.
+    pub fn sampled(self, sampling: Sampling) -> Self {
+        Self { sampling, ..self }
+    }
+
+    /// The same without sensors, with other channels; samples are of the same sort.
     pub fn bare(&self, channels: ChannelSet) -> Self {
         Self {
             sensors: None,
@@ -327,8 +335,12 @@ where
                     &self.own
                 }
             };
-            self.bench.advance(com);
             let last = com[com.len() - 1];
+            if self.experiment.sampling.currents == CurrentSampling::Point {
+                self.bench.advance_to_points(com);
+            } else {
+                self.bench.advance(com);
+            }
             for (c, rows) in self.channels.iter().zip(&mut self.block) {
                 rows.push(if *c == Channel::Com {
                     [last; N]

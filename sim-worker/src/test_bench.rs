@@ -48,6 +48,8 @@ pub struct NumericalTestBench<const N: usize> {
     extra: bool,
     step: u64,
     interval: u64,
+    /// sums of the last step alone, where currents are points
+    of_last: Option<Box<Sums<N>>>,
 }
 
 /// What is compiled once for each number of lanes, here rather than in every crate that uses it: the
@@ -100,6 +102,17 @@ where
     /// Steps all lanes through `com` [rad], one command a step.
     pub fn advance(&mut self, com: &[f64]) {
         Kernel::advance(self, com);
+        self.of_last = None;
+    }
+
+    /// As [`NumericalTestBench::advance`]; samples of the currents are then of the last step, not means over the interval.
+    pub fn advance_to_points(&mut self, com: &[f64]) {
+        let Some((last, most)) = com.split_last() else { return };
+        Kernel::advance(self, most);
+        let mut before = std::mem::take(&mut self.sums);
+        Kernel::advance(self, std::slice::from_ref(last));
+        self.of_last = Some(Box::new(self.sums.clone()));
+        self.sums.add(&mut before);
     }
 }
 
@@ -154,6 +167,7 @@ impl<const N: usize> NumericalTestBench<N> {
             sums: Sums::default(),
             step: 0,
             interval: 0,
+            of_last: None,
         }
     }
 
@@ -204,8 +218,16 @@ impl<const N: usize> NumericalTestBench<N> {
     /// [`NumericalTestBench::next_interval`]; `Com` is not the bench's to know.
     #[inline]
     pub fn samples(&self, channel: Channel) -> [f64; N] {
-        let (st, k, sum) = (&self.state, &self.constants, &self.sums);
-        let per_step = 1.0 / self.interval as f64;
+        let (st, k) = (&self.state, &self.constants);
+        let is_current = matches!(
+            channel,
+            Channel::IA | Channel::IB | Channel::IC | Channel::IEq | Channel::IQ
+        );
+        let (sum, steps) = match &self.of_last {
+            Some(of_last) if is_current => (&**of_last, 1),
+            _ => (&self.sums, self.interval),
+        };
+        let per_step = 1.0 / steps as f64;
         let mean = |sum: &[f64; N], unit: &[f64; N]| std::array::from_fn(|l| sum[l] * (unit[l] * per_step));
         let u = &self.inverse;
         match channel {
@@ -226,7 +248,7 @@ impl<const N: usize> NumericalTestBench<N> {
                 if self.effects.felt.uneven[l] {
                     return sum.ic[l] * (u.ampere[l] * per_step);
                 }
-                let offsets = self.effects.felt.sensors[l] * self.interval as f64;
+                let offsets = self.effects.felt.sensors[l] * steps as f64;
                 -(sum.ia[l] + sum.ib[l] - offsets) * (u.ampere[l] * per_step)
             }),
             Channel::VA => mean(&sum.va, &u.volt),
@@ -258,6 +280,7 @@ impl<const N: usize> NumericalTestBench<N> {
         self.state = other.state.clone();
         self.sums = other.sums.clone();
         (self.step, self.interval) = (other.step, other.interval);
+        self.of_last.clone_from(&other.of_last);
         self.effects.go_on_from(&other.effects);
         self.loaded |= other.loaded;
         self.extra |= other.extra;

@@ -17,7 +17,13 @@ static RUNS: LazyLock<[Collector; 2]> = LazyLock::new(|| SEQUENCES.map(|s| refer
 
 fn plan(test: usize) -> Arc<FeaturePlan> {
     let s = sim_worker::catalogue::sequence(SEQUENCES[test]).unwrap();
-    Arc::new(FeaturePlan::new(&ActuatorParameters::reference(), &s, 1000.0, false))
+    Arc::new(FeaturePlan::new(
+        &ActuatorParameters::reference(),
+        &s,
+        1000.0,
+        false,
+        Default::default(),
+    ))
 }
 
 fn whole(test: usize) -> [Option<u64>; RawFeatures::COUNT + 1] {

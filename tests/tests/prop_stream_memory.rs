@@ -138,7 +138,7 @@ fn prop_no_copy_and_no_allocation_per_frame() {
     let mut live = Live::new(Known {
         actuators: vec![actuator],
         sequences: vec![sequence],
-        sensors: vec!["none".into()],
+        sensors: vec![("none".into(), Default::default())],
         units: Default::default(),
     });
     let mut pass = publisher.begin(&about, Duration::ZERO, &|| true).unwrap().unwrap();
@@ -266,7 +266,7 @@ fn prop_an_hour_of_streams_allocates_nothing_for_a_frame() {
     let mut live = Live::new(Known {
         actuators: vec![actuator.clone()],
         sequences: vec![sequence.clone()],
-        sensors: vec!["none".into()],
+        sensors: vec![("none".into(), Default::default())],
         units: Default::default(),
     });
     let (mut now, mut located, mut finals) = (0, 0, 0);

@@ -15,7 +15,7 @@ impl Source {
             live: Live::new(Known {
                 actuators: vec![Arc::new(ActuatorParameters::reference())],
                 sequences: vec![sim_worker::catalogue::sequence("preflight").unwrap()],
-                sensors: vec!["none".into()],
+                sensors: vec![("none".into(), Default::default())],
                 units: Default::default(),
             }),
             rows: 100,

@@ -70,13 +70,9 @@ impl KindEntry {
     /// # Errors
     /// Refuses a file that was changed by hand into none.
     pub fn setup(&self, file: &str, actuator: Arc<ActuatorParameters>) -> Result<TestSetup> {
-        let section = |what: &str, text: &str| toml_section::parse(&format!("{file}: {what}"), text);
-        let sensors = if self.sensors.is_empty() {
-            None
-        } else {
-            Some(SensorModel::from_section(section("sensors", &self.sensors)?)?)
-        };
-        let sequence = TestSequence::from_section(section("sequence", &self.sequence)?)?;
+        let sensors = sensors_in(file, &self.sensors)?;
+        let section = toml_section::parse(&format!("{file}: sequence"), &self.sequence)?;
+        let sequence = TestSequence::from_section(section)?;
         Ok(TestSetup {
             sensors,
             rest_angle_rad: self.rest_angle_rad,
@@ -84,6 +80,15 @@ impl KindEntry {
             ..TestSetup::new(actuator, sequence, self.rate_hz)
         })
     }
+}
+
+/// The sensors that a part of a file describes; none where it is empty.
+fn sensors_in(file: &str, text: &str) -> Result<Option<SensorModel>> {
+    if text.is_empty() {
+        return Ok(None);
+    }
+    let section = toml_section::parse(&format!("{file}: sensors"), text)?;
+    SensorModel::from_section(section).map(Some)
 }
 
 /// A test that was shown to a unit.
@@ -159,6 +164,9 @@ struct Stored {
     name: String,
     source: String,
     actuator: String,
+    /// as a TOML file has them; empty where no study saw them
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    sensors: String,
     spread: Vec<(String, f64)>,
     spread_name: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -179,6 +187,8 @@ pub struct UnitFile {
     pub source: String,
     /// the model: constants deviate from it
     pub actuator: ActuatorParameters,
+    /// as its study saw them, for recordings that do not say what sensors they are by
+    pub sensors: Option<SensorModel>,
     /// how units of the type differ, and tests
     pub spread: Spread,
     /// kinds of tests that it was shown
@@ -209,6 +219,7 @@ impl UnitFile {
             name,
             source,
             actuator,
+            sensors: None,
             spread,
             kinds: Vec::new(),
             tests: Vec::new(),
@@ -286,6 +297,7 @@ impl UnitFile {
             name: self.name.clone(),
             source: self.source.clone(),
             actuator: self.actuator.to_toml(),
+            sensors: self.sensors.as_ref().map_or_else(String::new, SensorModel::to_toml),
             spread: pairs(&spread),
             spread_name: self.spread.name.clone(),
             friction_per_k: Some(self.spread.friction_per_k).filter(|x| *x != 0.0),
@@ -390,6 +402,7 @@ impl UnitFile {
             name: s.name,
             source: s.source,
             actuator: ActuatorParameters::parse(&format!("{file}: actuator"), &s.actuator)?,
+            sensors: sensors_in(&file, &s.sensors)?,
             spread,
             kinds: s.kinds,
             tests: s.tests,

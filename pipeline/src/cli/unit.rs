@@ -8,6 +8,7 @@ use clap::{Args, Subcommand};
 use diagnoser::unit::{RepairedPart, TestEntry, UnitFile};
 use schemas::error::EXIT_LOSS;
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::{CurrentSampling, SensorModel, SpeedSource};
 use sim_worker::spread::Cause;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -183,6 +184,9 @@ fn text(unit: &UnitFile) -> String {
         unit.healthy(),
         unit.reference()
     );
+    if let Some(s) = &unit.sensors {
+        out += &format!("sensors   {}\n", sensors_in_words(s));
+    }
     for (c, mean, sd, before) in constants(unit) {
         let sigmas = matches!(c, Cause::EffectAmplitude | Cause::EffectShape);
         let (scale, of) = if sigmas {
@@ -211,6 +215,25 @@ fn text(unit: &UnitFile) -> String {
         }
     }
     out
+}
+
+fn sensors_in_words(s: &SensorModel) -> String {
+    let currents = match s.sampling.currents {
+        CurrentSampling::Mean => "means over a sample",
+        CurrentSampling::Point => "points",
+    };
+    let speed = match s.sampling.speed {
+        SpeedSource::Sensor => format!("speed noise {:.3} rad/s", s.speed_noise_rad_per_s),
+        SpeedSource::Angle => "speed of the angle's changes".into(),
+    };
+    format!(
+        "{}: angle {} bit, {speed}, currents {currents} in steps of {:.4} A, noise {:.4} A, offsets up to {:.3} A",
+        s.name,
+        s.resolver_bits,
+        s.current_count_a(),
+        s.current_noise_a,
+        s.current_offset_a
+    )
 }
 
 /// The faults of a test that was located.

@@ -100,6 +100,7 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
     let measured = input::open(path, settings.how())?;
     let settings = Settings {
         actuator: Some(Arc::new(unit.actuator.clone())),
+        unit: Some(Arc::new(unit.clone())),
         ..settings.clone()
     };
     let test = case::test_of(path, &measured, &settings)?;

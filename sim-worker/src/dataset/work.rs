@@ -10,6 +10,7 @@ use super::storage::{Put, Storage};
 use super::tables::{Receipt, Staged, Table, telemetry_pairs};
 use crate::extractor::FeaturePlan;
 use crate::progress::Progress;
+use crate::sensor::SensorModel;
 use crate::simulate::{Experiment, Run, simulate};
 use rayon::prelude::*;
 use schemas::error::{Error, Result};
@@ -199,6 +200,7 @@ impl FeaturePlans {
             &plan.sequences[part.sequence],
             plan.rate_hz,
             plan.equivalent_current,
+            SensorModel::sampling_of(plan.sensors.as_ref()),
         );
         let made = if of_map { made.in_time() } else { made };
         let mut plans = self.plans.lock().expect("no panics");
@@ -242,7 +244,10 @@ impl<'a> Bench<'a> {
                 .as_ref()
                 .map_or(bare, |t| with_sources(t.stored, plan.sensors.is_some()));
             let all = schemas::channel::ChannelSet(bare.0 | stored.0);
-            let experiment = |channels| Experiment::new(sequence.clone(), plan.rate_hz, channels, None, step);
+            let sampling = SensorModel::sampling_of(plan.sensors.as_ref());
+            let experiment = |channels| {
+                Experiment::new(sequence.clone(), plan.rate_hz, channels, None, step).map(|e| e.sampled(sampling))
+            };
             experiments.push([experiment(bare)?, experiment(all)?]);
             shared.push(Shared::new(plan, k)?);
         }

@@ -4,6 +4,7 @@ use crate::monitor::MonitorTrack;
 use crate::onset::OnsetPlan;
 use crate::parameters::ActuatorParameters;
 use crate::reversal::ReversalPlan;
+use crate::sensor::{Sampling, SpeedOfAngle, SpeedSource};
 use crate::witness::SineShape;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::sequence::{Command, Segment, TestSequence};
@@ -96,12 +97,19 @@ pub struct FeaturePlan {
     /// |Im| of the simplified model over `sine` [A]
     pub(super) monitor_a: Vec<f64>,
     pub(super) equivalent_current: bool,
+    pub(super) sampling: Sampling,
 }
 
 impl FeaturePlan {
     /// Runs the simplified model through `sequence` at `rate_hz` for P2. `equivalent_current`: P2
-    /// from i_eq, for telemetry without phase currents.
-    pub fn new(actuator: &ActuatorParameters, sequence: &TestSequence, rate_hz: f64, equivalent_current: bool) -> Self {
+    /// from i_eq, for telemetry without phase currents. `sampling`: what samples are.
+    pub fn new(
+        actuator: &ActuatorParameters,
+        sequence: &TestSequence,
+        rate_hz: f64,
+        equivalent_current: bool,
+        sampling: Sampling,
+    ) -> Self {
         let window = |is: fn(&Command) -> bool, from: f64, to: f64| {
             let s = sequence.segment(is)?;
             let w = Window::of(s.start_s + from, s.start_s + s.duration_s.min(to), rate_hz);
@@ -143,7 +151,7 @@ impl FeaturePlan {
         });
         let onset = step_rad
             .filter(|_| step.is_some())
-            .and_then(|height| OnsetPlan::new(actuator, height, rate_hz, no_load_rad_per_s));
+            .and_then(|height| OnsetPlan::new(actuator, height, rate_hz, sampling, no_load_rad_per_s));
         let slow = sequence.segments.iter().find_map(|s| match s.command {
             Command::Cosine {
                 amplitude_rad,
@@ -188,6 +196,7 @@ impl FeaturePlan {
             step_rad: step_rad.unwrap_or(0.0),
             monitor_a,
             equivalent_current,
+            sampling,
         }
     }
 
@@ -253,9 +262,18 @@ impl FeaturePlan {
         of_all.into_iter().flatten().chain(self.legs.into_iter().flatten())
     }
 
+    /// Whether the speed is the change of the angle.
+    pub(super) fn speed_is_of_angle(&self) -> bool {
+        self.sampling.speed == SpeedSource::Angle
+    }
+
     /// Whether any of the samples `first..first + rows` matters to a feature.
     pub fn needs(&self, first: u64, rows: usize) -> bool {
         let last = first + rows as u64 - 1;
-        first == 1 || self.windows().any(|w| w.from <= last && first <= w.to)
+        let before = match self.sampling.speed {
+            SpeedSource::Sensor => 0,
+            SpeedSource::Angle => SpeedOfAngle::samples(self.rate_hz),
+        };
+        first == 1 || self.windows().any(|w| w.from <= last + before && first <= w.to)
     }
 }

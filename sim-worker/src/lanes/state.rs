@@ -177,6 +177,16 @@ lane_struct!(
     }
 );
 
+impl<const N: usize> Sums<N> {
+    /// Adds the sums of steps before.
+    pub fn add(&mut self, before: &mut Self) {
+        let mut all = Vec::new();
+        before.each(&mut |x| all.push(*x));
+        let mut next = all.into_iter();
+        self.each(&mut |x| *x += next.next().unwrap_or(0.0));
+    }
+}
+
 impl<const N: usize> Constants<N> {
     /// Writes lane `l` for an actuator with faults, resting at `rest_angle_rad`, under a constant load torque.
     pub fn set(&mut self, l: usize, p: &ActuatorParameters, f: FaultState, rest_angle_rad: f64, load_n_m: f64) {

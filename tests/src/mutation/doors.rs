@@ -174,7 +174,7 @@ pub fn doors(ema: &Path, dir: &Path) -> Vec<Door> {
     let known = Known {
         actuators: vec![Arc::new(actuator.clone())],
         sequences: vec![sequence.clone()],
-        sensors: vec![sensors.fingerprint()],
+        sensors: vec![(sensors.fingerprint(), sensors.sampling)],
         units: Default::default(),
     };
     let flying = Arc::new(case::run(&csv, &settings()).unwrap().diagnoser);

@@ -536,9 +536,12 @@ fn colour(channel: BenchChannel, rms: f64, runs: &[Run]) -> f64 {
 
 /// The grain of a channel whose values stand on a grid; 0 where they do not.
 fn grain_of(channel: BenchChannel, runs: &[Run]) -> f64 {
-    let mut steps: Vec<f64> = runs
-        .iter()
-        .filter_map(|r| r.channel(channel))
+    grain(runs.iter().filter_map(|r| r.channel(channel)))
+}
+
+/// As [`grain_of`], of signals.
+pub fn grain<'a>(signals: impl Iterator<Item = &'a [f64]>) -> f64 {
+    let mut steps: Vec<f64> = signals
         .flat_map(|x| x.windows(2).take(20_000).map(|w| (w[1] - w[0]).abs()))
         .collect();
     let most = steps.iter().fold(0.0, |a: f64, b| a.max(*b));

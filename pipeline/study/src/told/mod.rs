@@ -6,6 +6,7 @@ pub mod next;
 pub mod persist;
 pub mod places;
 pub mod scale;
+pub mod sensors;
 pub mod source;
 pub mod tell;
 pub mod verify;

@@ -10,6 +10,7 @@ use schemas::error::Result;
 use schemas::fault::FaultState;
 use sim_worker::monitor::{MonitorModel, STEP_S};
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::CurrentSampling;
 use sim_worker::simulate::LANES;
 use sim_worker::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use std::collections::BTreeMap;
@@ -392,6 +393,19 @@ pub(super) fn driven<const N: usize>(bench: &Bench, r: &Recorded, actuators: &[A
 where
     Kernel: Built<N>,
 {
+    sampled::<N>(bench, r, actuators, CurrentSampling::Mean)
+}
+
+/// As [`driven`], with currents of this sort.
+pub(super) fn sampled<const N: usize>(
+    bench: &Bench,
+    r: &Recorded,
+    actuators: &[ActuatorParameters],
+    currents: CurrentSampling,
+) -> Vec<Simulated>
+where
+    Kernel: Built<N>,
+{
     let dt = actuators[0].step_s;
     let (mut done, ends) = r.steps(dt);
     let asked: Vec<(BenchChannel, Channel)> = CHANNELS
@@ -418,7 +432,10 @@ where
         com.resize(end.saturating_sub(done) as usize, 0.0);
         command.fill(k, done, dt, &mut com);
         ntb.next_interval();
-        ntb.advance(&com);
+        match currents {
+            CurrentSampling::Mean => ntb.advance(&com),
+            CurrentSampling::Point => ntb.advance_to_points(&com),
+        }
         done = done.max(end);
         for (c, channel) in &asked {
             let gear = if *c == BenchChannel::UserPosition {
