@@ -173,7 +173,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         let known = actuator
             .as_ref()
             .map_or_else(|| bench.effects.clone(), |a| a.effects.clone());
-        let (as_read, of_study) = (bench.clone(), known.clone());
+        let (mut as_read, of_study) = (bench.clone(), known.clone());
         let search =
             move |tell: &dyn Fn(&str)| ema_study::search::study::study(Material::new(bench, runs, &of_study), tell);
         let mut outcome = interruptible(tell_user, search)?;
@@ -193,41 +193,46 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                 |f: &Findings| with_what_was_found(f, actuator, (&name, &text), with_current, &bench_file, &hashes);
             let mut made = model(&findings);
             if telemetry || request.verify {
-                let verified = |new: &schemas::error::Result<String>, verdict| -> Result<_> {
+                let verified = |bench: &mut Bench, new: &schemas::error::Result<String>, verdict| -> Result<_> {
                     let child = match new {
                         Ok(text) if verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
                         _ => actuator.clone(),
                     };
-                    let (bench, parent, of) = (as_read.clone(), actuator.clone(), child.clone());
+                    let (mut placed, parent, of) = (bench.clone(), actuator.clone(), child.clone());
                     tell_user("the simulators under the recorded command");
-                    let verified = interruptible(tell_user, move |_| verify::verify(&bench, &parent, &of))??;
+                    let (placed, verified) = interruptible(tell_user, move |_| -> schemas::error::Result<_> {
+                        verify::place_jumps(&mut placed, &of)?;
+                        let verified = verify::verify(&placed, &parent, &of)?;
+                        Ok((placed, verified))
+                    })??;
+                    *bench = placed;
                     Ok((child, verified))
                 };
                 // told, made and simulated anew
-                let again = |outcome: &Outcome| -> Result<_> {
+                let again = |bench: &mut Bench, outcome: &Outcome| -> Result<_> {
                     let findings = told(outcome);
                     let made = model(&findings);
-                    let (child, verification) = verified(&made, outcome.verdict)?;
+                    let (child, verification) = verified(bench, &made, outcome.verdict)?;
                     Ok((findings, made, child, verification))
                 };
-                let (mut child, mut verification) = verified(&made, outcome.verdict)?;
+                let (mut child, mut verification) = verified(&mut as_read, &made, outcome.verdict)?;
                 if outcome.verdict != Verdict::None {
                     let (bench, of) = (as_read.clone(), child.clone());
                     outcome.by_loop =
                         interruptible(tell_user, move |_| scale::by_loop(&bench, &of))??.unwrap_or_default();
                 }
                 if !outcome.by_loop.is_empty() {
-                    (findings, made, child, verification) = again(&outcome)?;
+                    (findings, made, child, verification) = again(&mut as_read, &outcome)?;
                 }
                 let (bench, of) = (as_read.clone(), child.clone());
                 outcome.source = interruptible(tell_user, move |_| source::by_loop(&bench, &of))??;
                 if outcome.source.is_some() {
-                    (findings, made, child, verification) = again(&outcome)?;
+                    (findings, made, child, verification) = again(&mut as_read, &outcome)?;
                 }
                 if let Some(late) = late_control(&as_read, child, &verification, &outcome, tell_user)? {
                     outcome.verdict = outcome.verdict.beside(std::slice::from_ref(&late));
                     outcome.beside.push(late);
-                    (findings, made, _, verification) = again(&outcome)?;
+                    (findings, made, _, verification) = again(&mut as_read, &outcome)?;
                 }
                 // what is to be missing brings the simulated actuator nearer to what was measured, or it is not that
                 let away = further_away(&verification);

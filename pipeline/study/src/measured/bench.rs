@@ -3,6 +3,7 @@
 mod read;
 
 use crate::measured::filtered::LowPass;
+use crate::measured::jumps::Jumps;
 use crate::measured::own;
 use ema_tables::units::Quantity;
 use read::{channel_spec, rig, run_spec};
@@ -273,6 +274,8 @@ pub struct Bench {
     pub own: bool,
     /// a speed that was left out, as it is the angle's
     pub made_of_angle: Option<LowPass>,
+    /// of recordings, by file and rows: where their commands jump between samples, once that is known
+    pub jumps: Vec<(PathBuf, Vec<(String, Vec<String>)>, Jumps)>,
 }
 
 /// Whether a file is a recording of telemetry rather than a bench file, by its name.
@@ -384,6 +387,7 @@ impl Bench {
             effects,
             own: false,
             made_of_angle: None,
+            jumps: Vec::new(),
         };
         bench.add_q_current();
         for needed in [BenchChannel::Time, bench.rig.drive] {

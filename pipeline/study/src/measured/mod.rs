@@ -2,6 +2,7 @@ pub mod bench;
 pub mod check;
 pub mod filter;
 pub mod filtered;
+pub mod jumps;
 mod one_constant;
 pub mod own;
 pub mod recording;

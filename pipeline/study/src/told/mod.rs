@@ -1,3 +1,4 @@
+pub mod command;
 pub mod compare;
 pub mod compare_motion;
 pub mod findings;

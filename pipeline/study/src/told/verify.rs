@@ -2,8 +2,10 @@
 //! parameters as they were (parent) and with what a study found (child), beside what was measured.
 
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role, RunSpec};
+use crate::measured::jumps::Jumps;
 use crate::measured::own::with_q_current;
 use crate::measured::rows::{in_si, split};
+use crate::told::command::{CommandBetween, told};
 use ema_tables::Table;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::Result;
@@ -21,8 +23,6 @@ use std::sync::Arc;
 pub(super) const AT_ONCE: usize = LANES / 2;
 /// Time of all recordings together that is simulated at most [s] (assumed: a study is waited for).
 const LONGEST_S: f64 = 30.0;
-/// A change of the command is a step where it is so many times its neighbours' (assumed).
-const STEP: f64 = 8.0;
 /// Greatest angle of the user from zero [rad], and speed of the motor at the first sample over its greatest, of a recording
 /// that begins at rest (assumed).
 const AT_REST_USER_RAD: f64 = 2e-3;
@@ -81,6 +81,43 @@ pub struct Verification {
     pub left_out: Vec<String>,
 }
 
+/// Places the jumps of all recordings' commands between their samples, as the motion shows them.
+///
+/// * `child` the actuator with what was found
+///
+/// # Errors
+/// Refuses files that cannot be read.
+pub fn place_jumps(bench: &mut Bench, child: &ActuatorParameters) -> Result<()> {
+    let (all, _) = recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
+    let place = |(runs, mut recorded): OfRuns<'_>| {
+        if !recorded.jumps.is_empty() {
+            let (early, late) = either(bench, &mut recorded, std::slice::from_ref(child));
+            let shares = told(&recorded.jumps, &recorded, &early[0], &late[0]);
+            recorded.jumps.set(&shares);
+        }
+        (runs[0].file.clone(), runs[0].filter.clone(), recorded.jumps)
+    };
+    let placed = all.into_iter().map(place).collect();
+    bench.jumps = placed;
+    Ok(())
+}
+
+/// The test bench where each jump of the command comes as early as it may, and as late; at most [`AT_ONCE`] actuators.
+pub(super) fn either(
+    bench: &Bench,
+    recorded: &mut Recorded,
+    actuators: &[ActuatorParameters],
+) -> (Vec<Simulated>, Vec<Simulated>) {
+    let mut at = |share: f64| {
+        recorded.jumps.all(share);
+        match actuators.len() {
+            1 => driven::<1>(bench, recorded, actuators),
+            _ => driven::<AT_ONCE>(bench, recorded, actuators),
+        }
+    };
+    (at(0.0), at(1.0))
+}
+
 /// What simulators give for a channel of a bench.
 const CHANNELS: [(BenchChannel, Channel); 8] = [
     (BenchChannel::Position, Channel::ThetaM),
@@ -98,11 +135,13 @@ pub(super) struct Recorded {
     file: String,
     pub(super) time_s: Vec<f64>,
     /// user side [rad]
-    command: Vec<f64>,
+    pub(super) command: Vec<f64>,
     pub(super) measured: BTreeMap<BenchChannel, Vec<f64>>,
     load_n_m: f64,
     /// samples by which the gap is judged
     counted: Vec<bool>,
+    /// where the command jumps between samples
+    pub(super) jumps: Jumps,
 }
 
 impl Recorded {
@@ -312,13 +351,19 @@ fn recorded(
         let of = |r: &&&RunSpec| roles.contains(&r.role);
         group.iter().filter(of).any(|r| r.has(*t))
     };
+    let command: Vec<f64> = column(command)?.iter().map(|c| c / bench.rig.gear_ratio).collect();
+    let jumps = match bench.jumps.iter().find(|j| j.0 == spec.file && j.1 == spec.filter) {
+        Some((_, _, jumps)) => jumps.clone(),
+        None => Jumps::of(&command),
+    };
     Ok(Ok(Recorded {
+        jumps,
         file: spec
             .file
             .file_name()
             .map_or_else(String::new, |f| f.to_string_lossy().into_owned()),
         counted: time_s.iter().map(counted).collect(),
-        command: column(command)?.iter().map(|c| c / bench.rig.gear_ratio).collect(),
+        command,
         time_s,
         measured,
         load_n_m,
@@ -339,41 +384,6 @@ fn late(time_s: &[f64], x: Vec<f64>, delay_s: f64) -> Vec<f64> {
         x[j] + share * (x[j + 1] - x[j])
     };
     time_s.iter().map(|t| t + delay_s).map(at).collect()
-}
-
-/// The recorded command at any time: straight between samples, but for steps, which come with the later sample.
-struct CommandBetween<'a> {
-    time_s: &'a [f64],
-    value: &'a [f64],
-}
-
-impl CommandBetween<'_> {
-    /// * `k` the sample before `t`
-    fn at(&self, k: usize, t: f64) -> f64 {
-        let n = self.value.len();
-        let change = |k: usize| self.value[k + 1] - self.value[k];
-        if k + 1 >= n {
-            return self.value[n - 1];
-        }
-        let before = if k > 0 { change(k - 1).abs() } else { f64::INFINITY };
-        let after = if k + 2 < n { change(k + 1).abs() } else { f64::INFINITY };
-        let is_step = change(k).abs() > STEP * before.max(after) && change(k) != 0.0;
-        if is_step {
-            return self.value[k];
-        }
-        let share = (t - self.time_s[k]) / (self.time_s[k + 1] - self.time_s[k]);
-        self.value[k] + share * change(k)
-    }
-
-    /// Commands of the steps after sample `k - 1` up to sample `k`, of length `dt`.
-    ///
-    /// * `first` number of the first of them, counted from time 0
-    fn fill(&self, k: usize, first: u64, dt: f64, out: &mut [f64]) {
-        for (j, o) in out.iter_mut().enumerate() {
-            let t = (first + j as u64) as f64 * dt;
-            *o = if k == 0 { self.value[0] } else { self.at(k - 1, t) };
-        }
-    }
 }
 
 impl Recorded {
@@ -425,6 +435,7 @@ where
     let command = CommandBetween {
         time_s: &r.time_s,
         value: &r.command,
+        jumps: &r.jumps,
     };
     let mut out = vec![Simulated::new(); actuators.len()];
     let mut com = Vec::new();
@@ -462,6 +473,7 @@ fn simplified(r: &Recorded, p: &ActuatorParameters) -> Simulated {
     let command = CommandBetween {
         time_s: &r.time_s,
         value: &r.command,
+        jumps: &r.jumps,
     };
     let mut out = Simulated::new();
     let mut com = Vec::new();
@@ -520,22 +532,4 @@ fn stretch(
         child: child[part].to_vec(),
     };
     Some((channel, e, trace))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_step_is_held_and_a_slope_is_straight() {
-        let time_s = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
-        let value = [0.0, 0.1, 0.2, 5.0, 5.0, 5.0];
-        let c = CommandBetween {
-            time_s: &time_s,
-            value: &value,
-        };
-        assert!((c.at(0, 0.5) - 0.05).abs() < 1e-12);
-        assert_eq!(c.at(2, 2.9), 0.2);
-        assert_eq!(c.at(3, 3.1), 5.0);
-    }
 }
