@@ -13,7 +13,7 @@ use ema_study::search::study::Outcome;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
-use ema_study::told::{in_loop, next, persist, scale, sensors, source, tell, verify};
+use ema_study::told::{in_loop, loop_effects, next, persist, scale, sensors, source, tell, verify};
 use schemas::error::{Error, write_whole};
 use serde_json::Value;
 use sim_worker::effect::{Effect, EffectKind, Note};
@@ -229,9 +229,17 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                 if outcome.source.is_some() {
                     (findings, made, child, verification) = again(&mut as_read, &outcome)?;
                 }
-                if let Some(late) = late_control(&as_read, child, &verification, &outcome, tell_user)? {
-                    outcome.verdict = outcome.verdict.beside(std::slice::from_ref(&late));
-                    outcome.beside.push(late);
+                let late = late_control(&as_read, child.clone(), &verification, &outcome, tell_user)?;
+                let found = match late {
+                    Some(late) => Some(late),
+                    None => of_loop(&as_read, child, &outcome, tell_user)?,
+                };
+                if let Some(found) = found {
+                    if outcome.verdict == Verdict::Unknown {
+                        outcome.verdict = Verdict::Retune;
+                    }
+                    outcome.verdict = outcome.verdict.beside(std::slice::from_ref(&found));
+                    outcome.beside.push(found);
                     (findings, made, _, verification) = again(&mut as_read, &outcome)?;
                 }
                 // what is to be missing brings the simulated actuator nearer to what was measured, or it is not that
@@ -373,6 +381,28 @@ fn late_control(
     let (bench, verification) = (bench.clone(), verification.clone());
     let look = move |_: &dyn Fn(&str)| in_loop::late_control(&bench, &child, &verification, noise);
     Ok(interruptible(tell_user, look)??)
+}
+
+/// What only the simulated loop shows to be missing, where the equations show nothing.
+///
+/// # Errors
+/// Recordings that cannot be read; where it was interrupted.
+fn of_loop(
+    bench: &Bench,
+    child: ActuatorParameters,
+    outcome: &Outcome,
+    tell_user: &dyn Fn(&str),
+) -> Result<Option<Beside>> {
+    let nothing_named = outcome.model.terms.is_empty() && outcome.beside.is_empty();
+    if !matches!(outcome.verdict, Verdict::None | Verdict::Retune | Verdict::Unknown) || !nothing_named {
+        return Ok(None);
+    }
+    let bench = bench.clone();
+    let look = move |_: &dyn Fn(&str)| loop_effects::scan(&bench, &child);
+    let found = interruptible(tell_user, look)??;
+    // where the equations see something that they have no name for, it is that effect if the loop then moves as it was measured
+    let is_all = |f: &loop_effects::OfMotion| f.settles || outcome.verdict != Verdict::Unknown;
+    Ok(found.filter(is_all).map(|f| f.beside))
 }
 
 /// The actuator's file with the constants and effects that were found.

@@ -12,7 +12,7 @@ use crate::measured::recording::Run;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals::intervals;
 use crate::search::select::Material;
-use sim_worker::effect::{COPPER_PER_K, EffectKind, Equation, NORMAL_95, conducting};
+use sim_worker::effect::{COPPER_PER_K, Draw, EffectKind, Equation, NORMAL_95, conducting};
 
 /// An effect that was found beside the equations.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,6 +25,10 @@ pub struct Beside {
     pub half: f64,
     /// phase whose sensor has it, of an offset (0, 1, 2)
     pub sensor: Option<usize>,
+    /// of a source: what its voltage goes by
+    pub draw: Draw,
+    /// its second parameter, where it has one
+    pub second: Option<f64>,
     /// what it is seen in
     pub seen_in: &'static str,
     /// of `before` and `after`
@@ -162,6 +166,8 @@ pub fn found(
         value,
         half: NORMAL_95 * sd,
         sensor: None,
+        draw: Draw::Power,
+        second: None,
         seen_in: seen_in.0,
         unit: seen_in.1,
         before: rms.0,

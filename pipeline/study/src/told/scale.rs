@@ -29,13 +29,13 @@ const LEAST_SD: f64 = 1e-3;
 
 /// A constant that the loop tells, how far it may be off in units of one type, one sigma relative (assumed), and what it is of an
 /// actuator.
-struct Knob {
-    name: &'static str,
-    sd: f64,
-    turn: fn(&mut ActuatorParameters, f64),
+pub(super) struct Knob {
+    pub(super) name: &'static str,
+    pub(super) sd: f64,
+    pub(super) turn: fn(&mut ActuatorParameters, f64),
 }
 
-const KNOBS: [Knob; 4] = [
+pub(super) const KNOBS: [Knob; 4] = [
     Knob {
         name: "torque_constant",
         sd: 0.02,

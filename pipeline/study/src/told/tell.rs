@@ -14,7 +14,7 @@ use crate::told::findings::*;
 use crate::told::places;
 use crate::told::words::{assumptions, facts, missing, sentence, told, unnamed};
 use nalgebra::DMatrix;
-use sim_worker::effect::{Draw, EffectKind, Equation, NORMAL_95, Reads};
+use sim_worker::effect::{EffectKind, Equation, NORMAL_95, Reads};
 
 /// The channel that an equation predicts.
 pub(super) fn channel(m: &Material, e: Equation) -> (&'static str, &'static str) {
@@ -305,25 +305,29 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
 /// An effect that was found beside the equations.
 fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
     let key = &b.kind.keys()[0];
+    let second = b.kind.keys().get(1).zip(b.second);
+    let second = second.map(|(key, value)| Identified::about(key.name, value, 0.0, key.unit, None));
     FoundEffect {
         name: b.kind.name().to_string(),
         equation: b.kind.equation().name().to_string(),
         term: term_text(b.kind).to_string(),
-        parameters: vec![Identified {
+        parameters: std::iter::once(Identified {
             name: key.name.to_string(),
             value: b.value,
             lo: (b.value - b.half).max(key.low),
             hi: (b.value + b.half).min(key.high),
             unit: key.unit.to_string(),
             nominal: None,
-        }],
+        })
+        .chain(second)
+        .collect(),
         correlation: Vec::new(),
         explained_share: (1.0 - (b.after / b.before.max(1e-300)).powi(2)).clamp(0.0, 1.0),
         runner_up: None,
         ambiguous_with: b.ambiguous.iter().map(|k| k.name().to_string()).collect(),
         alias: None,
         sensor: b.sensor,
-        draw: Draw::Power,
+        draw: b.draw,
         reads: Reads::Angle,
         channel: b.seen_in.to_string(),
         heldout: m.held.is_some().then_some((b.before, b.after)),
