@@ -253,3 +253,109 @@ fn e2e_a_fleet_is_diagnosed_by_unit_files_as_each_recording_is() {
         &["nothing"],
     );
 }
+
+/// Two recordings of a bench whose currents are read at points, and pre-flight tests by the same sensors: the study says what the
+/// sensors are, the unit remembers it, and its tests are read so.
+#[test]
+fn e2e_a_study_says_what_the_sensors_are_and_tests_are_read_by_them() {
+    let r = Recordings::new();
+    let (sensors, moves) = (r.path("points.toml"), r.path("moves.toml"));
+    let of_bench = "name = \"bench\"\nresolver_bits = 14\nspeed_noise_rad_per_s = 0.3\ncurrent_range_a = 25.0\n\
+                    current_bits = 13\ncurrent_noise_a = 0.03\ncurrent_offset_a = 0.02\ncurrent_sampling = \"point\"\n";
+    std::fs::write(&sensors, of_bench).unwrap();
+    let line = |from: f64, slope: f64, duration: f64| {
+        format!(
+            "[[segment]]\ncommand = \"line\"\nfrom_rad = {from:?}\nslope_rad_per_s = {slope:?}\nduration_s = {duration:?}\n"
+        )
+    };
+    let mut sequence =
+        String::from("name = \"moves\"\n[[segment]]\ncommand = \"hold\"\nvalue_rad = 0.0\nduration_s = 0.6\n");
+    let mut at = 0.0;
+    for (slope, duration) in [
+        (0.5, 0.8),
+        (-0.3, 0.8),
+        (0.06, 0.8),
+        (-0.8, 0.7),
+        (0.15, 0.8),
+        (1.0, 0.6),
+        (-0.5, 0.9),
+        (0.02, 0.6),
+    ] {
+        sequence += &line(at, slope, duration);
+        at += slope * duration;
+    }
+    sequence += "[[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.004\nfrequency_hz = 1.0\nduration_s = 3.0\n";
+    std::fs::write(&moves, sequence).unwrap();
+    let truth = r.path("truth.toml");
+    let record = |name: &str, sequence: &str, more: &[&str]| {
+        let file = r.path(name);
+        let run = [
+            "run",
+            "--rate",
+            "2000",
+            "--sensors",
+            text(&sensors),
+            "--actuator",
+            text(&truth),
+            "--sequence",
+            sequence,
+            "--out",
+            text(&file),
+        ];
+        ok(&[&run[..], more].concat());
+        // as a bench writes it: nothing but numbers
+        let plain: Vec<String> = std::fs::read_to_string(&file)
+            .unwrap()
+            .lines()
+            .filter(|l| !l.starts_with('#'))
+            .map(str::to_string)
+            .collect();
+        std::fs::write(&file, plain.join("\n") + "\n").unwrap();
+        let said = file.with_extension("json");
+        if said.exists() {
+            std::fs::remove_file(said).unwrap();
+        }
+        file
+    };
+    let long = ["1", "2"].map(|seed| record(&format!("long_{seed}.csv"), text(&moves), &["--seed", seed]));
+    let study = r.path("study");
+    ok(&[
+        "discrepancy",
+        "--bench",
+        text(&long[0]),
+        text(&long[1]),
+        "--healthy",
+        "--out",
+        text(&study),
+    ]);
+    let seen = std::fs::read_to_string(study.join("sensors.toml")).unwrap();
+    let has = |line: &str| assert!(seen.contains(line), "no `{line}` in {seen}");
+    has("resolver_bits = 14.0");
+    has("current_sampling = \"point\"");
+    assert!(!seen.contains("speed_source"), "{seen}");
+    let number = |key: &str| -> f64 {
+        let line = seen.lines().find(|l| l.starts_with(key)).unwrap();
+        line.split('=').nth(1).unwrap().trim().parse().unwrap()
+    };
+    assert!((number("current_noise_a") / 0.03 - 1.0).abs() < 0.3, "{seen}");
+    assert!((number("speed_noise_rad_per_s") / 0.3 - 1.0).abs() < 0.2, "{seen}");
+
+    let unit = r.path("unit.json");
+    ok(&["unit", "new", text(&unit), "--study", text(&study)]);
+    let healthy = record("healthy.csv", "preflight", &["--seed", "3"]);
+    let said = ok(&["unit", "update", text(&unit), text(&healthy), "--healthy"]);
+    assert!(said.contains("taken") && said.contains("currents points"), "{said}");
+    let test = record(
+        "test.csv",
+        "preflight",
+        &["--fsj", "2.3", "--zeta", "0.2", "--seed", "4"],
+    );
+    let d: Value = serde_json::from_str(&ok(&["diagnose", text(&test), "--unit", text(&unit), "--json"])).unwrap();
+    assert_eq!(d["outcome"], "located", "{d}");
+    let within = |fault: &str, truth: f64| {
+        let (lo, hi) = (d[fault]["lo"].as_f64().unwrap(), d[fault]["hi"].as_f64().unwrap());
+        assert!(lo <= truth && truth <= hi && hi - lo < 0.1 * truth, "{fault} {lo} {hi}");
+    };
+    within("fsj", 2.3);
+    within("zeta", 0.2);
+}

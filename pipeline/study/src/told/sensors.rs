@@ -12,7 +12,7 @@ use std::f64::consts::TAU;
 
 /// Samples of a block whose roughness is one number (assumed).
 const BLOCK: usize = 64;
-/// Share of the blocks, those in which the simulated currents are smoothest, that tell the noise of a sensor; and fewest of them
+/// Share of the blocks, those about which the simulated currents are smoothest, that tell the noise of a sensor; and fewest of them
 /// (assumed).
 const SMOOTH: f64 = 0.05;
 const FEWEST: usize = 4;
@@ -96,7 +96,7 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters, of_angle: bool) -> Result
     Ok((!usual).then_some(model))
 }
 
-/// Squares of the roughness of blocks, measured and simulated.
+/// Squares of the roughness of blocks, measured and simulated; first those about which the simulation is smooth.
 fn rough(recorded: &[&Recorded], simulated: &[Simulated], channels: &[BenchChannel]) -> Vec<(f64, f64)> {
     let square = |x: &[f64]| {
         let all = x
@@ -110,15 +110,17 @@ fn rough(recorded: &[&Recorded], simulated: &[Simulated], channels: &[BenchChann
             let (Some(x), Some(y)) = (r.measured.get(c), s.get(c)) else {
                 continue;
             };
-            out.extend(
-                x.chunks_exact(BLOCK)
-                    .zip(y.chunks_exact(BLOCK))
-                    .map(|(x, y)| (square(x), square(y))),
-            );
+            let all: Vec<(f64, f64)> = x
+                .chunks_exact(BLOCK)
+                .zip(y.chunks_exact(BLOCK))
+                .map(|(x, y)| (square(x), square(y)))
+                .collect();
+            // by what is simulated before and after: by its own, the smoothest would be smoother than what is measured in them
+            out.extend(all.windows(3).map(|w| (w[0].1 + w[2].1, w[1])));
         }
     }
-    out.sort_by(|a, b| a.1.total_cmp(&b.1));
-    out
+    out.sort_by(|a, b| a.0.total_cmp(&b.0));
+    out.into_iter().map(|b| b.1).collect()
 }
 
 /// What is measured beyond what is simulated where that is smooth, rms.
@@ -141,8 +143,9 @@ fn sampling(means: &[(f64, f64)], points: &[(f64, f64)], grain: f64) -> CurrentS
         all.sort_by(f64::total_cmp);
         all.get(all.len() / 2).copied().unwrap_or(0.0)
     };
-    let of_sensor = |blocks: &[(f64, f64)]| noise(blocks, grain).powi(2) + grain * grain / 12.0;
-    let told = |blocks: &[(f64, f64)]| (middle(blocks, |b| b.1) + of_sensor(blocks)).sqrt();
+    // chatter that means do not have would count as noise of the sensor
+    let of_sensor = noise(means, grain).min(noise(points, grain)).powi(2) + grain * grain / 12.0;
+    let told = |blocks: &[(f64, f64)]| (middle(blocks, |b| b.1) + of_sensor).sqrt();
     let (mean, point) = (told(means), told(points));
     let measured = middle(points, |b| b.0).sqrt();
     if point > APART * mean && measured > (mean * point).sqrt() {
