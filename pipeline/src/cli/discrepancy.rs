@@ -47,7 +47,8 @@ pub struct DiscrepancyArgs {
     diagnose: Vec<PathBuf>,
     /// Folder for report.html, report.json, and actuator.toml or model.toml; nothing is written if left out
     ///
-    /// actuator.toml is the file of --actuator with what was found; without one, model.toml has constants and effects of the
+    /// actuator.toml is the file of --actuator with what was found, sensors.toml, where it is written too, its sensors as they
+    /// were seen; without one, model.toml has constants and effects of the
     /// rig. Both only where held-out data prove them and all runs are said to be healthy.
     #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     out: Option<PathBuf>,

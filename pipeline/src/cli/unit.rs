@@ -33,7 +33,7 @@ pub struct NewArgs {
     #[command(flatten)]
     actuator: ActuatorArg,
     /// Folder of a study of this unit (ema discrepancy --out): the model is the one that it wrote, with how well it knows
-    /// the constants
+    /// the constants, and tests are read by the sensors that it saw
     #[arg(long, value_name = "STUDY_DIR")]
     study: Option<PathBuf>,
     /// How units of the type and their tests differ where no study says it: unit (all values assumed) or a TOML file
