@@ -249,7 +249,10 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                 // what strong currents say of their torque, they say of a mass behind a spring too: the loop moves as was measured, or
                 // it is something else
                 if is_shaken(&verification, &outcome)
-                    && let Some(at) = outcome.beside.iter().position(|b| b.kind == EffectKind::TorqueSaturation)
+                    && let Some(at) = outcome
+                        .beside
+                        .iter()
+                        .position(|b| b.kind == EffectKind::TorqueSaturation)
                 {
                     outcome.beside.remove(at);
                     outcome.verdict = Verdict::Unknown;
@@ -275,6 +278,8 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
                         .not_excited
                         .retain(|(n, _)| n != EffectKind::ControlDelay.name());
                 }
+                let named: Vec<String> = findings.effects.iter().map(|e| e.name.clone()).collect();
+                findings.not_excited.retain(|(n, _)| !named.contains(n));
                 findings.verification = Some(verification);
                 if out.is_some() {
                     let of_angle = outcome.material.bench.made_of_angle.is_some();
@@ -377,7 +382,11 @@ fn further_away(v: &verify::Verification) -> Option<String> {
 
 /// Whether the simulated loop with what was found moves otherwise than was measured, by the speed's own sensor.
 fn is_shaken(v: &verify::Verification, outcome: &Outcome) -> bool {
-    let noise = outcome.material.noise.get(&BenchChannel::Velocity).map_or(0.0, |n| n.rms);
+    let noise = outcome
+        .material
+        .noise
+        .get(&BenchChannel::Velocity)
+        .map_or(0.0, |n| n.rms);
     let speed = v.channels.iter().find(|c| c.channel == BenchChannel::Velocity.name());
     noise > 0.0 && speed.is_some_and(|c| c.child > SHAKEN * noise)
 }

@@ -431,3 +431,28 @@ fn val_however_a_plain_unit_is_recorded_nothing_is_missing() {
         assert_eq!(left_out, way.starts_with("a speed"), "{way}: {:?}", found.assumptions);
     }
 }
+
+/// A play between motor and user of an actuator whose recordings have neither voltages nor a sensor of the user's: every equation
+/// balances, and the loop moves otherwise.
+#[test]
+fn val_a_play_that_no_equation_shows_is_found_in_the_simulated_loop() {
+    let dir = tempfile::tempdir().unwrap();
+    let unit = dir.path().join("unit");
+    let key = independent::make_unit(&unit, Some("backlash"), 1.0, 613).unwrap();
+    let of_motor_alone = |row: &mut Vec<(String, f64)>| {
+        row.retain(|c| !["v_a", "v_b", "v_c", "v_dc", "theta_u"].contains(&c.0.as_str()));
+    };
+    let bench = [1, 2].map(|n| {
+        let name = format!("healthy_long_{n}.csv");
+        let to = dir.path().join(&name);
+        recorded_otherwise(&unit.join(&name), &to, of_motor_alone);
+        to
+    });
+    let (verdict, names) = studied(bench.to_vec());
+    assert_eq!(
+        (verdict.as_str(), names),
+        ("named", set(&["backlash"])),
+        "{:?}",
+        key.key
+    );
+}
