@@ -182,7 +182,7 @@ fn simulated(actuator: &ActuatorParameters, height_rad: f64, rate_hz: f64, sampl
     let mut rows = [Rows {
         sign: 1f64.copysign(height_rad),
         rows: Vec::new(),
-        of_angle: (sampling.speed == SpeedSource::Angle).then(|| SpeedOfAngle::new(rate_hz)),
+        of_angle: (sampling.speed == SpeedSource::Angle).then(|| SpeedOfAngle::at_rest(rate_hz, 0.0)),
     }];
     simulate(&experiment, &[run], &mut rows, || true)?;
     let [rows] = rows;
@@ -266,6 +266,45 @@ mod tests {
                     let said = format!("FSJ {fsj}, zeta {zeta}, {angle} rad, {rate_hz} Hz");
                     assert!(!found.iter().any(|w| w.contains(" later than ")), "{found:?} at {said}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn prop_no_test_looks_late_whatever_its_samples_are() {
+        let reference = Arc::new(ActuatorParameters::reference());
+        let sequence = catalogue::sequence("preflight").unwrap();
+        let sampling = Sampling {
+            currents: crate::sensor::CurrentSampling::Point,
+            speed: SpeedSource::Angle,
+        };
+        for rate_hz in [10_000.0, 2500.0, 2000.0, 1000.0] {
+            let plan = FeaturePlan::new(&reference, &sequence, rate_hz, false, sampling);
+            let plan = Arc::new(plan);
+            for (angle, fsj, zeta) in [(0.0, 1.0, 0.0), (0.9, 3.0, 0.2), (2.5, 4.5, 0.1)] {
+                let mut sensors = catalogue::sensors("reference").unwrap();
+                sensors.as_mut().unwrap().sampling = sampling;
+                let channels = FeaturePlan::channels_of(false);
+                let experiment =
+                    Experiment::new(sequence.clone(), rate_hz, channels, sensors, reference.step_s).unwrap();
+                let lane = Lane {
+                    actuator: reference.clone(),
+                    fault: FaultState { fsj, zeta },
+                    rest_angle_rad: angle,
+                    load_n_m: 0.0,
+                };
+                let run = Run {
+                    number: 0,
+                    lane,
+                    seed: 5,
+                };
+                let mut x = [FeatureExtractor::new(plan.clone())];
+                simulate(&experiment, &[run], &mut x, || true).unwrap();
+                let found = x[0].missing();
+                assert!(
+                    found.is_empty(),
+                    "{found:?} at {rate_hz} Hz, {angle} rad, FSJ {fsj}, zeta {zeta}"
+                );
             }
         }
     }

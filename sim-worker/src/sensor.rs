@@ -87,6 +87,13 @@ impl SpeedOfAngle {
         }
     }
 
+    /// Before sample 1 of a rotor that rests at an angle [rad].
+    pub fn at_rest(rate_hz: f64, angle_rad: f64) -> Self {
+        let mut speed = Self::new(rate_hz);
+        speed.angles.extend(std::iter::repeat_n(angle_rad, speed.most));
+        speed
+    }
+
     /// Samples before one that its speed is made of.
     pub fn samples(rate_hz: f64) -> u64 {
         Self::new(rate_hz).most as u64
