@@ -277,6 +277,7 @@ mod tests {
         let sampling = Sampling {
             currents: crate::sensor::CurrentSampling::Point,
             speed: SpeedSource::Angle,
+            ..Sampling::default()
         };
         for rate_hz in [10_000.0, 2500.0, 2000.0, 1000.0] {
             let plan = FeaturePlan::new(&reference, &sequence, rate_hz, false, sampling);

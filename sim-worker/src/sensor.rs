@@ -52,6 +52,26 @@ impl SpeedSource {
     }
 }
 
+/// Where the rotor rests of which a recording says the count of its resolver.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Rest {
+    /// at the angle that is recorded
+    #[default]
+    AtAngle,
+    /// anywhere within the count
+    WithinCount,
+}
+
+impl Rest {
+    /// Words of a file.
+    pub const NAMES: [&str; 2] = ["at_angle", "within_count"];
+
+    /// Word of a file.
+    pub fn name(self) -> &'static str {
+        Self::NAMES[self as usize]
+    }
+}
+
 /// What the samples of a recording are, whatever their noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Sampling {
@@ -59,6 +79,8 @@ pub struct Sampling {
     pub currents: CurrentSampling,
     /// of the motor speed
     pub speed: SpeedSource,
+    /// of the rotor before a test
+    pub rest: Rest,
 }
 
 /// The mean speed over the last moment, of the angle alone.
@@ -131,7 +153,7 @@ pub struct SensorModel {
     pub current_noise_a: f64,
     /// half-width of the uniform offset of each phase, drawn once a run [A]
     pub current_offset_a: f64,
-    /// what samples are: keys `current_sampling` and `speed_source`, which may be left out
+    /// what samples are: keys `current_sampling`, `speed_source` and `rest`, which may be left out
     pub sampling: Sampling,
 }
 
@@ -160,6 +182,10 @@ impl SensorModel {
             speed: match one_of("speed_source", SpeedSource::NAMES, &mut s)? {
                 false => SpeedSource::Sensor,
                 true => SpeedSource::Angle,
+            },
+            rest: match one_of("rest", Rest::NAMES, &mut s)? {
+                false => Rest::AtAngle,
+                true => Rest::WithinCount,
             },
         };
         let m = Self {
@@ -222,7 +248,8 @@ impl SensorModel {
         let (is, usual) = (self.sampling, Sampling::default());
         let currents = (is.currents != usual.currents).then(|| ("current_sampling", is.currents.name()));
         let speed = (is.speed != usual.speed).then(|| ("speed_source", is.speed.name()));
-        currents.into_iter().chain(speed)
+        let rest = (is.rest != usual.rest).then(|| ("rest", is.rest.name()));
+        currents.into_iter().chain(speed).chain(rest)
     }
 
     /// What the samples of a model are, or of true values.
@@ -244,7 +271,7 @@ pub struct SensorNoise {
     offset: [f64; 3],
     /// speed, phase A, B, C of each row, standard normal
     rows: Vec<[f32; 4]>,
-    /// where the rotor rests within a count of its resolver, uniform in -0.5..0.5: no recording says it
+    /// where the rotor rests within a count of its resolver, uniform in -0.5..0.5, where no recording says it
     within_count: f64,
 }
 
@@ -296,17 +323,27 @@ impl Sensors<'_> {
         let lsb = self.model.resolver_count_rad();
         let inv_lsb = 1.0 / lsb;
         let nearest = crate::trig::nearest;
-        let within = self.noise.within_count;
-        let rest = nearest(self.rest_angle_rad * inv_lsb + within);
+        let within = match self.model.sampling.rest {
+            Rest::AtAngle => 0.0,
+            Rest::WithinCount => self.noise.within_count,
+        };
+        let counts = |x: f64| {
+            if within == 0.0 {
+                x * inv_lsb
+            } else {
+                x * inv_lsb + within
+            }
+        };
+        let rest = nearest(counts(self.rest_angle_rad));
         let mut user = block.take(Channel::ThetaU);
         if let Some(theta) = block.column_mut(Channel::ThetaM) {
             if let Some(user) = &mut user {
                 for (o, &x) in user.iter_mut().zip(&*theta) {
-                    *o = round((nearest(x * inv_lsb + within) - rest) * lsb / self.gear_ratio);
+                    *o = round((nearest(counts(x)) - rest) * lsb / self.gear_ratio);
                 }
             }
             for x in theta {
-                *x = round(nearest(*x * inv_lsb + within) * lsb);
+                *x = round(nearest(counts(*x)) * lsb);
             }
         }
         block.put(Channel::ThetaU, user);
@@ -358,6 +395,7 @@ mod tests {
         let usual = m.fingerprint();
         m.sampling.currents = CurrentSampling::Point;
         m.sampling.speed = SpeedSource::Angle;
+        m.sampling.rest = Rest::WithinCount;
         assert_ne!(m.fingerprint(), usual);
         let again = SensorModel::from_section(parse("a.toml", &m.to_toml()).unwrap()).unwrap();
         assert_eq!(again, m);

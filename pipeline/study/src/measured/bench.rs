@@ -239,6 +239,9 @@ impl Role {
     }
 }
 
+/// Columns and values of which any will do, as text.
+pub type Filter = Vec<(String, Vec<String>)>;
+
 /// A file of runs.
 #[derive(Clone, Debug)]
 pub struct RunSpec {
@@ -248,7 +251,7 @@ pub struct RunSpec {
     pub healthy: bool,
     pub window_s: Option<(f64, f64)>,
     /// column and values, any of which will do, as text
-    pub filter: Vec<(String, Vec<String>)>,
+    pub filter: Filter,
     pub split: Vec<String>,
     /// each run stands at one speed and counts by the means of its pieces: a friction map
     pub steady: bool,
@@ -275,7 +278,7 @@ pub struct Bench {
     /// a speed that was left out, as it is the angle's
     pub made_of_angle: Option<LowPass>,
     /// of recordings, by file and rows: where their commands jump between samples, once that is known
-    pub jumps: Vec<(PathBuf, Vec<(String, Vec<String>)>, Jumps)>,
+    pub jumps: Vec<(PathBuf, Filter, Jumps)>,
 }
 
 /// Whether a file is a recording of telemetry rather than a bench file, by its name.

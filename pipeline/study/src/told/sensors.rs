@@ -7,7 +7,7 @@ use crate::told::verify::{self, Recorded, Simulated};
 use schemas::error::Result;
 use sim_worker::catalogue;
 use sim_worker::parameters::ActuatorParameters;
-use sim_worker::sensor::{CurrentSampling, Sampling, SensorModel, SpeedSource};
+use sim_worker::sensor::{CurrentSampling, Rest, Sampling, SensorModel, SpeedSource};
 use std::f64::consts::TAU;
 
 /// Samples of a block whose roughness is one number (assumed).
@@ -86,10 +86,14 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters, of_angle: bool) -> Result
         current_bits,
         current_noise_a: noise(&of_currents, count),
         current_offset_a: offset(&recorded, simulated),
-        sampling: Sampling { currents, speed },
+        sampling: Sampling {
+            currents,
+            speed,
+            rest: Rest::WithinCount,
+        },
     };
     let usual = reference.is_some_and(|r| {
-        r.sampling == model.sampling
+        (r.sampling.currents, r.sampling.speed) == (currents, speed)
             && r.resolver_bits == model.resolver_bits
             && (r.current_count_a() / count - 1.0).abs() < NEAR
     });

@@ -69,7 +69,10 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
         leaders: leaders(o),
         not_excited: excitation::not_excited(m),
         missing: missing(m),
-        unnamed_share: if matches!(o.verdict, Verdict::None | Verdict::Retune) {
+        // what was found beside the equations leaves nothing in them to be named
+        unnamed_share: if matches!(o.verdict, Verdict::None | Verdict::Retune)
+            || o.verdict == Verdict::Named && o.model.terms.is_empty()
+        {
             0.0
         } else {
             unnamed_share
