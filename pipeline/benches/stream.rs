@@ -430,13 +430,11 @@ fn extractor() {
     let view = run.view();
     let actuator = ActuatorParameters::reference();
     let sequence = sim_worker::catalogue::sequence("preflight").unwrap();
-    let plan = Arc::new(FeaturePlan::new(
-        &actuator,
-        &sequence,
-        RATE_HZ,
-        false,
-        Default::default(),
-    ));
+    let made = || {
+        let plan = FeaturePlan::new(&actuator, &sequence, RATE_HZ, false, Default::default());
+        Arc::new(plan)
+    };
+    let plan = made();
     let bare = |v: &TelemetryView<'_>| {
         [Channel::Com, Channel::ThetaM, Channel::OmegaM]
             .iter()
@@ -467,16 +465,7 @@ fn extractor() {
     let (from, to) = (window.from as usize - 1, window.to as usize);
     let dense = rate(to - from, || through(&plan, false, from, to));
     let all = rate(30_000, || through(&plan, true, 0, 30_000));
-    let with_sm = rate(30_000, || {
-        let plan = Arc::new(FeaturePlan::new(
-            &actuator,
-            &sequence,
-            RATE_HZ,
-            false,
-            Default::default(),
-        ));
-        through(&plan, true, 0, 30_000)
-    });
+    let with_sm = rate(30_000, || through(&made(), true, 0, 30_000));
     println!("\nextractor, one core, frames of 100 rows [million rows a second]");
     println!("  control: copying the 8 columns           {:8.0}", copy * 1e-6);
     println!("  P1, P3, ripple, whole test               {:8.0}", sparse * 1e-6);

@@ -1,5 +1,7 @@
 //! A study from files to files.
 
+mod judge;
+
 use crate::case::{self, Case, Settings, quoted};
 use crate::check::setup_of;
 use crate::interruptible::interruptible;
@@ -7,26 +9,20 @@ use crate::report_pages::discrepancy as page;
 use anyhow::Result;
 use ema_study::measured::bench::{Bench, BenchChannel, is_recording};
 use ema_study::measured::{check, recording};
-use ema_study::search::beside::Beside;
 use ema_study::search::select::Material;
 use ema_study::search::study::Outcome;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::compare;
 use ema_study::told::findings::{Findings, FoundEffect};
-use ema_study::told::{in_loop, loop_effects, next, persist, scale, sensors, source, tell, verify};
+use ema_study::told::{next, persist, sensors, tell, verify};
+use judge::Judge;
 use schemas::error::{Error, write_whole};
 use serde_json::Value;
-use sim_worker::effect::{Effect, EffectKind, Note};
+use sim_worker::effect::{Effect, Note};
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::SensorModel;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// Gap of the simulated motion over that without what was found, from which on it is no model of the actuator (assumed).
-const FURTHER: f64 = 2.0;
-
-/// Gap of the simulated speed over the noise of its sensor from which on the loop moves otherwise (assumed: with a torque that does
-/// saturate it was 1.0, with a mass behind a spring in its place 3.8).
-const SHAKEN: f64 = 2.0;
 
 pub use ema_study::REFERENCE;
 
@@ -158,7 +154,7 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
     let mut new_text = None;
     let mut rig_text = None;
     let mut against = None;
-    let mut seen_by = None;
+    let mut placed = None;
     if bench.is_comparison() {
         findings = compare::compare(&bench, &runs);
         findings.model = name.clone();
@@ -177,119 +173,28 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         let known = actuator
             .as_ref()
             .map_or_else(|| bench.effects.clone(), |a| a.effects.clone());
-        let (mut as_read, of_study) = (bench.clone(), known.clone());
+        let (as_read, of_study) = (bench.clone(), known.clone());
         let search =
             move |tell: &dyn Fn(&str)| ema_study::search::study::study(Material::new(bench, runs, &of_study), tell);
         let mut outcome = interruptible(tell_user, search)?;
         tell_user("intervals and report");
-        let told = |outcome: &Outcome| {
-            let mut f = tell::findings(outcome, &name);
-            if telemetry && request.model.is_none() {
-                let text = "no --actuator: the recordings are taken for the reference actuator's";
-                f.assumptions.push(text.to_string());
-            }
-            f
-        };
-        findings = told(&outcome);
+        let is_assumed = telemetry && request.model.is_none();
+        findings = told(&outcome, &name, is_assumed);
         let mut new = None;
         if let Some(actuator) = actuator.as_ref() {
             let model =
                 |f: &Findings| with_what_was_found(f, actuator, (&name, &text), with_current, &bench_file, &hashes);
             let mut made = model(&findings);
             if telemetry || request.verify {
-                let verified = |bench: &mut Bench, new: &schemas::error::Result<String>, verdict| -> Result<_> {
-                    let child = match new {
-                        Ok(text) if verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
-                        _ => actuator.clone(),
-                    };
-                    let (mut placed, parent, of) = (bench.clone(), actuator.clone(), child.clone());
-                    tell_user("the simulators under the recorded command");
-                    let (placed, verified) = interruptible(tell_user, move |_| -> schemas::error::Result<_> {
-                        verify::place_jumps(&mut placed, &of)?;
-                        let verified = verify::verify(&placed, &parent, &of)?;
-                        Ok((placed, verified))
-                    })??;
-                    *bench = placed;
-                    Ok((child, verified))
+                let judge = Judge {
+                    actuator,
+                    told: &|outcome| told(outcome, &name, is_assumed),
+                    made: &model,
+                    tell_user,
                 };
-                // told, made and simulated anew
-                let again = |bench: &mut Bench, outcome: &Outcome| -> Result<_> {
-                    let findings = told(outcome);
-                    let made = model(&findings);
-                    let (child, verification) = verified(bench, &made, outcome.verdict)?;
-                    Ok((findings, made, child, verification))
-                };
-                let (mut child, mut verification) = verified(&mut as_read, &made, outcome.verdict)?;
-                if outcome.verdict != Verdict::None {
-                    let (bench, of) = (as_read.clone(), child.clone());
-                    outcome.by_loop =
-                        interruptible(tell_user, move |_| scale::by_loop(&bench, &of))??.unwrap_or_default();
-                }
-                if !outcome.by_loop.is_empty() {
-                    (findings, made, child, verification) = again(&mut as_read, &outcome)?;
-                }
-                let (bench, of) = (as_read.clone(), child.clone());
-                outcome.source = interruptible(tell_user, move |_| source::by_loop(&bench, &of))??;
-                if outcome.source.is_some() {
-                    (findings, made, child, verification) = again(&mut as_read, &outcome)?;
-                }
-                let late = late_control(&as_read, child.clone(), &verification, &outcome, tell_user)?;
-                let found = match late {
-                    Some(late) => Some(late),
-                    None => of_loop(&as_read, child, &outcome, tell_user)?,
-                };
-                if let Some(found) = found {
-                    if outcome.verdict == Verdict::Unknown {
-                        outcome.verdict = Verdict::Retune;
-                    }
-                    outcome.verdict = outcome.verdict.beside(std::slice::from_ref(&found));
-                    outcome.beside.push(found);
-                    (findings, made, _, verification) = again(&mut as_read, &outcome)?;
-                }
-                // what strong currents say of their torque, they say of a mass behind a spring too: the loop moves as was measured, or
-                // it is something else
-                if is_shaken(&verification, &outcome)
-                    && let Some(at) = outcome
-                        .beside
-                        .iter()
-                        .position(|b| b.kind == EffectKind::TorqueSaturation)
-                {
-                    outcome.beside.remove(at);
-                    outcome.verdict = Verdict::Unknown;
-                    (findings, made, _, verification) = again(&mut as_read, &outcome)?;
-                    let text = "strong currents give less torque than their flux makes, but the simulated loop with a torque that \
-                                saturates moves otherwise than was measured: something that springs or comes loose, say";
-                    findings.assumptions.push(text.to_string());
-                }
-                // what is to be missing brings the simulated actuator nearer to what was measured, or it is not that
-                let away = further_away(&verification);
-                if let Some(text) = away.filter(|_| outcome.verdict != Verdict::None) {
-                    outcome.verdict = Verdict::Unknown;
-                    findings = told(&outcome);
-                    findings.assumptions.push(text);
-                }
-                let driven = verification
-                    .channels
-                    .iter()
-                    .any(|c| c.channel == BenchChannel::Velocity.name());
-                if driven {
-                    // the simulated loop shows it
-                    findings
-                        .not_excited
-                        .retain(|(n, _)| n != EffectKind::ControlDelay.name());
-                }
-                let named: Vec<String> = findings.effects.iter().map(|e| e.name.clone()).collect();
-                findings.not_excited.retain(|(n, _)| !named.contains(n));
-                findings.verification = Some(verification);
-                if out.is_some() {
-                    let of_angle = outcome.material.bench.made_of_angle.is_some();
-                    let child = match &made {
-                        Ok(text) if outcome.verdict != Verdict::None => ActuatorParameters::parse(&name, text)?,
-                        _ => actuator.clone(),
-                    };
-                    let bench = as_read.clone();
-                    seen_by = interruptible(tell_user, move |_| sensors::seen(&bench, &child, of_angle))??;
-                }
+                let judged = judge.judged(as_read.clone(), &mut outcome, findings, made)?;
+                (findings, made) = (judged.findings, judged.made);
+                placed = Some(judged.bench);
             }
             new = Some(made);
         }
@@ -325,6 +230,13 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
         }
     }
     let written_model = out.zip(new_text.as_ref()).map(|(dir, _)| dir.join("actuator.toml"));
+    let seen_by = match (&written_model, &new_text, placed) {
+        (Some(_), Some(text), Some(bench)) => {
+            let child = ActuatorParameters::parse(&name, text)?;
+            Some(interruptible(tell_user, move |_| sensors::seen(&bench, &child))??)
+        }
+        _ => None,
+    };
     let written_rig = out.zip(rig_text.as_ref()).map(|(dir, _)| dir.join("model.toml"));
     let around = next::Around {
         command: &request.command(&name),
@@ -338,14 +250,8 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
     if let Some(dir) = out {
         if let (Some(path), Some(text)) = (&written_model, &new_text) {
             write_whole(path, text.as_bytes())?;
-            let path = dir.join(crate::unit::SENSORS);
-            match &seen_by {
-                Some(s) => write_whole(&path, format!("{SEEN_BY}{}", s.to_toml()).as_bytes())?,
-                // of an earlier study
-                None if path.exists() => {
-                    std::fs::remove_file(&path).map_err(|e| Error::io(&path, "cannot be removed", e))?;
-                }
-                None => {}
+            if let Some(seen) = seen_by {
+                write_sensors(&dir.join(crate::unit::SENSORS), seen)?;
             }
         }
         if let (Some(path), Some(text)) = (&written_rig, &rig_text) {
@@ -366,75 +272,25 @@ pub fn study(request: &Request, out: Option<&Path>, tell_user: &dyn Fn(&str)) ->
     })
 }
 
-/// In words, where the test bench with what was found goes further away from the held-out recordings than it did without.
-fn further_away(v: &verify::Verification) -> Option<String> {
-    let motion = [BenchChannel::Velocity, BenchChannel::Current].map(BenchChannel::name);
-    let worst = v
-        .channels
-        .iter()
-        .filter(|c| v.heldout && motion.contains(&c.channel.as_str()) && c.child > FURTHER * c.parent)
-        .max_by(|a, b| (a.child / a.parent).total_cmp(&(b.child / b.parent)))?;
-    Some(format!(
-        "the test bench with what was found goes further away from the held-out recordings than without: {} off by {:.3e} {}, {:.3e} before",
-        worst.channel, worst.child, worst.unit, worst.parent
-    ))
-}
-
-/// Whether the simulated loop with what was found moves otherwise than was measured, by the speed's own sensor.
-fn is_shaken(v: &verify::Verification, outcome: &Outcome) -> bool {
-    let noise = outcome
-        .material
-        .noise
-        .get(&BenchChannel::Velocity)
-        .map_or(0.0, |n| n.rms);
-    let speed = v.channels.iter().find(|c| c.channel == BenchChannel::Velocity.name());
-    noise > 0.0 && speed.is_some_and(|c| c.child > SHAKEN * noise)
-}
-
-/// Whether the simulated loop shows the controller's output to be late; nothing where effects are left that have no name.
+/// What is said of an outcome.
 ///
-/// # Errors
-/// Recordings that cannot be read; where it was interrupted.
-fn late_control(
-    bench: &Bench,
-    child: ActuatorParameters,
-    verification: &verify::Verification,
-    outcome: &Outcome,
-    tell_user: &dyn Fn(&str),
-) -> Result<Option<Beside>> {
-    if !matches!(outcome.verdict, Verdict::None | Verdict::Retune | Verdict::Named) {
-        return Ok(None);
+/// * `is_assumed` nobody said which actuator it is
+fn told(outcome: &Outcome, model: &str, is_assumed: bool) -> Findings {
+    let mut f = tell::findings(outcome, model);
+    if is_assumed {
+        let text = "no --actuator: the recordings are taken for the reference actuator's";
+        f.assumptions.push(text.to_string());
     }
-    let noise = outcome
-        .material
-        .noise
-        .get(&BenchChannel::Velocity)
-        .map_or(0.0, |n| n.rms);
-    let (bench, verification) = (bench.clone(), verification.clone());
-    let look = move |_: &dyn Fn(&str)| in_loop::late_control(&bench, &child, &verification, noise);
-    Ok(interruptible(tell_user, look)??)
+    f
 }
 
-/// What only the simulated loop shows to be missing, where the equations show nothing.
-///
-/// # Errors
-/// Recordings that cannot be read; where it was interrupted.
-fn of_loop(
-    bench: &Bench,
-    child: ActuatorParameters,
-    outcome: &Outcome,
-    tell_user: &dyn Fn(&str),
-) -> Result<Option<Beside>> {
-    let nothing_named = outcome.model.terms.is_empty() && outcome.beside.is_empty();
-    if !matches!(outcome.verdict, Verdict::None | Verdict::Retune | Verdict::Unknown) || !nothing_named {
-        return Ok(None);
+/// Writes the sensors that recordings are by; where they are the reference's, those of an earlier study go.
+fn write_sensors(path: &Path, seen: Option<SensorModel>) -> schemas::error::Result<()> {
+    match seen {
+        Some(s) => write_whole(path, format!("{SEEN_BY}{}", s.to_toml()).as_bytes()),
+        None if path.exists() => std::fs::remove_file(path).map_err(|e| Error::io(path, "cannot be removed", e)),
+        None => Ok(()),
     }
-    let bench = bench.clone();
-    let look = move |_: &dyn Fn(&str)| loop_effects::scan(&bench, &child);
-    let found = interruptible(tell_user, look)??;
-    // where the equations see something that they have no name for, it is that effect if the loop then moves as it was measured
-    let is_all = |f: &loop_effects::OfMotion| f.settles || outcome.verdict != Verdict::Unknown;
-    Ok(found.filter(is_all).map(|f| f.beside))
 }
 
 /// The actuator's file with the constants and effects that were found.
@@ -537,44 +393,4 @@ fn notes(e: &FoundEffect, f: &Findings, hashes: &[String]) -> Vec<(String, Note)
     }
     notes.retain(|(_, n)| !matches!(n, Note::Number(x) if !x.is_finite()));
     notes
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn prop_only_a_motion_twice_as_far_away_in_held_out_data_stands_against_what_was_found() {
-        let of = |channel: BenchChannel, parent: f64, child: f64, heldout: bool| {
-            let other = verify::VerifiedChannel {
-                channel: BenchChannel::Position.name().into(),
-                unit: "rad".into(),
-                samples: 1,
-                parent: 1.0,
-                child: 100.0,
-                simplified: None,
-            };
-            let one = verify::VerifiedChannel {
-                channel: channel.name().into(),
-                unit: "rad/s".into(),
-                parent,
-                child,
-                ..other.clone()
-            };
-            further_away(&verify::Verification {
-                heldout,
-                channels: vec![other, one],
-                ..Default::default()
-            })
-        };
-        let said = of(BenchChannel::Velocity, 2.5, 190.0, true).expect("it runs away");
-        assert!(
-            said.contains("velocity") && said.contains("1.900e2") && said.contains("2.500e0"),
-            "{said}"
-        );
-        assert!(of(BenchChannel::Current, 0.5, 14.0, true).is_some());
-        assert_eq!(of(BenchChannel::Velocity, 0.2, 0.39, true), None);
-        assert_eq!(of(BenchChannel::Velocity, 2.5, 0.2, true), None);
-        assert_eq!(of(BenchChannel::Velocity, 2.5, 190.0, false), None);
-    }
 }

@@ -299,6 +299,15 @@ impl Section {
         self.table.get(key).is_some_and(Value::is_str)
     }
 
+    /// A text that `of` knows, `allowed` in words.
+    ///
+    /// # Errors
+    /// No such key, another value.
+    pub fn one_of<T>(&mut self, key: &str, allowed: &str, of: impl Fn(&str) -> Option<T>) -> Result<T> {
+        let name = self.text(key, allowed)?;
+        of(&name).ok_or_else(|| self.bad(key, &name, allowed))
+    }
+
     /// As [`Section::text`]; `default` where the key is absent.
     ///
     /// # Errors

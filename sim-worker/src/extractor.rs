@@ -7,7 +7,7 @@ pub use plan::{FeaturePlan, REGIME_S, Window};
 
 use crate::onset::Onset;
 use crate::reversal::ReversalTrack;
-use crate::sensor::SpeedOfAngle;
+use crate::sensor::{SpeedOfAngle, SpeedSource};
 use crate::step_witness::{Sample, StepWitness};
 use crate::suspect::{Jumps, Outlier, PhaseSum};
 use crate::witness::{SineWitness, imbalance, torque_current};
@@ -116,7 +116,7 @@ impl FeatureExtractor {
             reversals: plan.slow.map(ReversalTrack::new),
             legs: Default::default(),
             supply: Default::default(),
-            of_angle: plan.speed_is_of_angle().then(|| OfAngle {
+            of_angle: (plan.sampling.speed == SpeedSource::Angle).then(|| OfAngle {
                 samples: TelemetryBuffer::new(plan.wanted(), 128),
                 speed: SpeedOfAngle::new(plan.rate_hz),
             }),

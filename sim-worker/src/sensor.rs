@@ -12,63 +12,52 @@ use schemas::toml_section::{Section, quoted};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
-/// What a sample of a phase current is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum CurrentSampling {
-    /// its mean over the sample's interval
-    #[default]
-    Mean,
-    /// its value at the end of the interval, chatter of the relays included
-    Point,
+/// Properties of samples that a file says in a word; the first is the usual one, and need not be said.
+macro_rules! words {
+    ($($(#[$doc:meta])* $name:ident { $(#[$first_doc:meta])* $first:ident $usual:literal, $($(#[$value_doc:meta])* $value:ident $word:literal),+ })+) => {$(
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+        pub enum $name { $(#[$first_doc])* #[default] $first, $($(#[$value_doc])* $value),+ }
+
+        impl $name {
+            /// Word of a file.
+            fn word(self) -> &'static str {
+                match self { Self::$first => $usual, $(Self::$value => $word),+ }
+            }
+
+            /// Of a key that may be left out.
+            fn read(s: &mut Section, key: &str) -> Result<Self> {
+                if !s.may_have(key) {
+                    return Ok(Self::default());
+                }
+                let of = |word: &str| [Self::$first, $(Self::$value),+].into_iter().find(|v| v.word() == word);
+                s.one_of(key, [$usual, $($word),+].join(", ").as_str(), of)
+            }
+        }
+    )+};
 }
 
-impl CurrentSampling {
-    /// Words of a file.
-    pub const NAMES: [&str; 2] = ["mean", "point"];
-
-    /// Word of a file.
-    pub fn name(self) -> &'static str {
-        Self::NAMES[self as usize]
+words! {
+    /// What a sample of a phase current is.
+    CurrentSampling {
+        /// its mean over the sample's interval
+        Mean "mean",
+        /// its value at the end of the interval, chatter of the relays included
+        Point "point"
     }
-}
-
-/// Where the motor speed comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum SpeedSource {
-    /// a sensor of its own
-    #[default]
-    Sensor,
-    /// no sensor that says more than the angle does, later: features take the change of the angle over each interval in its place
-    Angle,
-}
-
-impl SpeedSource {
-    /// Words of a file.
-    pub const NAMES: [&str; 2] = ["sensor", "angle"];
-
-    /// Word of a file.
-    pub fn name(self) -> &'static str {
-        Self::NAMES[self as usize]
+    /// Where the motor speed comes from.
+    SpeedSource {
+        /// a sensor of its own
+        Sensor "sensor",
+        /// no sensor that says more than the angle does, later: features take the angle's own mean over a moment in its place
+        Angle "angle"
     }
-}
-
-/// Where the rotor rests of which a recording says the count of its resolver.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Rest {
-    /// at the angle that is recorded
-    #[default]
-    AtAngle,
-    /// anywhere within the count
-    WithinCount,
-}
-
-impl Rest {
-    /// Words of a file.
-    pub const NAMES: [&str; 2] = ["at_angle", "within_count"];
-
-    /// Word of a file.
-    pub fn name(self) -> &'static str {
-        Self::NAMES[self as usize]
+    /// Where the rotor rests of which a recording says the count of its resolver.
+    Rest {
+        /// at the angle that is recorded
+        AtAngle "at_angle",
+        /// anywhere within the count
+        WithinCount "within_count"
     }
 }
 
@@ -81,6 +70,28 @@ pub struct Sampling {
     pub speed: SpeedSource,
     /// of the rotor before a test
     pub rest: Rest,
+}
+
+impl Sampling {
+    const KEYS: [&str; 3] = ["current_sampling", "speed_source", "rest"];
+
+    fn read(s: &mut Section) -> Result<Self> {
+        let [currents, speed, rest] = Self::KEYS;
+        Ok(Self {
+            currents: CurrentSampling::read(s, currents)?,
+            speed: SpeedSource::read(s, speed)?,
+            rest: Rest::read(s, rest)?,
+        })
+    }
+
+    /// Keys and words of what is not as telemetry usually is.
+    fn unusual(self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        let words = |s: Self| [s.currents.word(), s.speed.word(), s.rest.word()];
+        let of_both = words(self).into_iter().zip(words(Self::default()));
+        let all = Self::KEYS.into_iter().zip(of_both);
+        all.filter(|(_, (own, usual))| own != usual)
+            .map(|(key, (own, _))| (key, own))
+    }
 }
 
 /// The mean speed over the last moment, of the angle alone.
@@ -100,7 +111,7 @@ const MOMENT_S: f64 = 1e-3;
 impl SpeedOfAngle {
     /// * `rate_hz` of the samples
     pub fn new(rate_hz: f64) -> Self {
-        let most = ((MOMENT_S * rate_hz).round() as usize).max(1);
+        let most = Self::samples(rate_hz);
         Self {
             rate_hz,
             most,
@@ -117,8 +128,8 @@ impl SpeedOfAngle {
     }
 
     /// Samples before one that its speed is made of.
-    pub fn samples(rate_hz: f64) -> u64 {
-        Self::new(rate_hz).most as u64
+    pub fn samples(rate_hz: f64) -> usize {
+        ((MOMENT_S * rate_hz).round() as usize).max(1)
     }
 
     /// Speed at sample `n` of angle `x` [rad], in rad/s; 0 at the first one of all and after a gap.
@@ -167,29 +178,8 @@ impl SensorModel {
         let low = |x: f64| x >= 0.0;
         const BITS: &str = "a whole number from 1 to 24";
         const LOW: &str = "a finite number of at least 0";
-        let one_of = |key: &str, names: [&'static str; 2], s: &mut Section| -> Result<bool> {
-            let found = s.text_or(key, names[0])?;
-            match names.iter().position(|n| *n == found) {
-                Some(k) => Ok(k == 1),
-                None => Err(s.bad(key, found, names.join(", "))),
-            }
-        };
-        let sampling = Sampling {
-            currents: match one_of("current_sampling", CurrentSampling::NAMES, &mut s)? {
-                false => CurrentSampling::Mean,
-                true => CurrentSampling::Point,
-            },
-            speed: match one_of("speed_source", SpeedSource::NAMES, &mut s)? {
-                false => SpeedSource::Sensor,
-                true => SpeedSource::Angle,
-            },
-            rest: match one_of("rest", Rest::NAMES, &mut s)? {
-                false => Rest::AtAngle,
-                true => Rest::WithinCount,
-            },
-        };
         let m = Self {
-            sampling,
+            sampling: Sampling::read(&mut s)?,
             name: s.text("name", "a text")?,
             resolver_bits: s.number("resolver_bits", bits, BITS)? as u32,
             speed_noise_rad_per_s: s.number("speed_noise_rad_per_s", low, LOW)?,
@@ -227,7 +217,10 @@ impl SensorModel {
     /// A file that reads back as this model, bit for bit.
     pub fn to_toml(&self) -> String {
         let lines = self.values().map(|(key, x)| format!("{key} = {x:?}\n"));
-        let words = self.words().map(|(key, word)| format!("{key} = \"{word}\"\n"));
+        let words = self
+            .sampling
+            .unusual()
+            .map(|(key, word)| format!("{key} = \"{word}\"\n"));
         format!(
             "name = {}\n{}{}",
             quoted(&self.name),
@@ -239,17 +232,8 @@ impl SensorModel {
     /// Of all values, not of the name.
     pub fn fingerprint(&self) -> String {
         let v = self.values().map(|(_, x)| exact(x));
-        let words: String = self.words().map(|(key, word)| format!(";{key} {word}")).collect();
-        fingerprint(&format!("sensors;{}{words}", v.join(",")))
-    }
-
-    /// Keys and words of what is not as telemetry usually is.
-    fn words(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
-        let (is, usual) = (self.sampling, Sampling::default());
-        let currents = (is.currents != usual.currents).then(|| ("current_sampling", is.currents.name()));
-        let speed = (is.speed != usual.speed).then(|| ("speed_source", is.speed.name()));
-        let rest = (is.rest != usual.rest).then(|| ("rest", is.rest.name()));
-        currents.into_iter().chain(speed).chain(rest)
+        let words = self.sampling.unusual().map(|(key, word)| format!(";{key} {word}"));
+        fingerprint(&format!("sensors;{}{}", v.join(","), words.collect::<String>()))
     }
 
     /// What the samples of a model are, or of true values.

@@ -336,16 +336,17 @@ where
                 }
             };
             let last = com[com.len() - 1];
-            if self.experiment.sampling.currents == CurrentSampling::Point {
+            let points = self.experiment.sampling.currents == CurrentSampling::Point;
+            if points {
                 self.bench.advance_to_points(com);
             } else {
                 self.bench.advance(com);
             }
             for (c, rows) in self.channels.iter().zip(&mut self.block) {
-                rows.push(if *c == Channel::Com {
-                    [last; N]
-                } else {
-                    self.bench.samples(*c)
+                rows.push(match *c {
+                    Channel::Com => [last; N],
+                    c if points => self.bench.points(c),
+                    c => self.bench.samples(c),
                 });
             }
             self.bench.next_interval();

@@ -48,8 +48,8 @@ pub struct NumericalTestBench<const N: usize> {
     extra: bool,
     step: u64,
     interval: u64,
-    /// sums of the last step alone, where currents are points
-    of_last: Option<Box<Sums<N>>>,
+    /// sums of the last step alone, of an interval that was advanced to points
+    of_last: Sums<N>,
 }
 
 /// What is compiled once for each number of lanes, here rather than in every crate that uses it: the
@@ -102,17 +102,16 @@ where
     /// Steps all lanes through `com` [rad], one command a step.
     pub fn advance(&mut self, com: &[f64]) {
         Kernel::advance(self, com);
-        self.of_last = None;
     }
 
-    /// As [`NumericalTestBench::advance`]; samples of the currents are then of the last step, not means over the interval.
+    /// As [`NumericalTestBench::advance`], for [`NumericalTestBench::points`].
     pub fn advance_to_points(&mut self, com: &[f64]) {
         let Some((last, most)) = com.split_last() else { return };
         Kernel::advance(self, most);
-        let mut before = std::mem::take(&mut self.sums);
+        let before = std::mem::take(&mut self.sums);
         Kernel::advance(self, std::slice::from_ref(last));
-        self.of_last = Some(Box::new(self.sums.clone()));
-        self.sums.add(&mut before);
+        self.of_last.clone_from(&self.sums);
+        self.sums.add(&before);
     }
 }
 
@@ -167,7 +166,7 @@ impl<const N: usize> NumericalTestBench<N> {
             sums: Sums::default(),
             step: 0,
             interval: 0,
-            of_last: None,
+            of_last: Sums::default(),
         }
     }
 
@@ -218,15 +217,23 @@ impl<const N: usize> NumericalTestBench<N> {
     /// [`NumericalTestBench::next_interval`]; `Com` is not the bench's to know.
     #[inline]
     pub fn samples(&self, channel: Channel) -> [f64; N] {
+        self.of_sums(channel, &self.sums, self.interval)
+    }
+
+    /// As [`NumericalTestBench::samples`] after [`NumericalTestBench::advance_to_points`], with currents at the end of the
+    /// interval.
+    pub fn points(&self, channel: Channel) -> [f64; N] {
+        match channel {
+            Channel::IA | Channel::IB | Channel::IC | Channel::IEq | Channel::IQ => {
+                self.of_sums(channel, &self.of_last, 1)
+            }
+            _ => self.samples(channel),
+        }
+    }
+
+    #[inline]
+    fn of_sums(&self, channel: Channel, sum: &Sums<N>, steps: u64) -> [f64; N] {
         let (st, k) = (&self.state, &self.constants);
-        let is_current = matches!(
-            channel,
-            Channel::IA | Channel::IB | Channel::IC | Channel::IEq | Channel::IQ
-        );
-        let (sum, steps) = match &self.of_last {
-            Some(of_last) if is_current => (&**of_last, 1),
-            _ => (&self.sums, self.interval),
-        };
         let per_step = 1.0 / steps as f64;
         let mean = |sum: &[f64; N], unit: &[f64; N]| std::array::from_fn(|l| sum[l] * (unit[l] * per_step));
         let u = &self.inverse;
@@ -280,7 +287,6 @@ impl<const N: usize> NumericalTestBench<N> {
         self.state = other.state.clone();
         self.sums = other.sums.clone();
         (self.step, self.interval) = (other.step, other.interval);
-        self.of_last.clone_from(&other.of_last);
         self.effects.go_on_from(&other.effects);
         self.loaded |= other.loaded;
         self.extra |= other.extra;

@@ -99,7 +99,6 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
     unit.tests.retain(|t| t.checksum != checksum);
     let measured = input::open(path, settings.how())?;
     let settings = Settings {
-        actuator: Some(Arc::new(unit.actuator.clone())),
         unit: Some(Arc::new(unit.clone())),
         ..settings.clone()
     };

@@ -81,15 +81,15 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
         if t.may_have("sensor") {
             let phase = |name: &str| PHASES.iter().position(|p| *p == name);
             e.sensor = Some(match kind {
-                EffectKind::CurrentOffset | EffectKind::CurrentGain => one_of(&mut t, "sensor", "a, b or c", phase)?,
-                _ => one_of(&mut t, "sensor", "nothing: it is in no sensor of a phase", |_| None)?,
+                EffectKind::CurrentOffset | EffectKind::CurrentGain => t.one_of("sensor", "a, b or c", phase)?,
+                _ => t.one_of("sensor", "nothing: it is in no sensor of a phase", |_| None)?,
             });
         }
         if t.may_have("draw") {
             let draw = |name: &str| Draw::ALL.into_iter().find(|d| d.name() == name);
             e.draw = match kind {
-                EffectKind::SupplySag => one_of(&mut t, "draw", "power, bridge or legs", draw)?,
-                _ => one_of(&mut t, "draw", "nothing: it is in no source", |_| None)?,
+                EffectKind::SupplySag => t.one_of("draw", "power, bridge or legs", draw)?,
+                _ => t.one_of("draw", "nothing: it is in no source", |_| None)?,
             };
         }
         if t.may_have("reads") {
@@ -99,8 +99,8 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
                     .find(|r| r.name() == name)
             };
             e.reads = match kind {
-                EffectKind::EncoderEccentricity => one_of(&mut t, "reads", "angle or angle_and_speed", reads)?,
-                _ => one_of(&mut t, "reads", "nothing: it is in no sensor of the angle", |_| None)?,
+                EffectKind::EncoderEccentricity => t.one_of("reads", "angle or angle_and_speed", reads)?,
+                _ => t.one_of("reads", "nothing: it is in no sensor of the angle", |_| None)?,
             };
         }
         e.source = t.text_or("source", "assumed")?;
@@ -123,12 +123,6 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
         effects.push(e);
     }
     Ok(effects)
-}
-
-/// What a name stands for, by `of`; refused where that is nothing.
-fn one_of<T>(t: &mut Section, key: &str, allowed: &str, of: impl Fn(&str) -> Option<T>) -> Result<T> {
-    let name = t.text(key, allowed)?;
-    of(&name).ok_or_else(|| t.bad(key, &name, allowed))
 }
 
 impl Effect {

@@ -262,17 +262,12 @@ impl FeaturePlan {
         of_all.into_iter().flatten().chain(self.legs.into_iter().flatten())
     }
 
-    /// Whether the speed is the change of the angle.
-    pub(super) fn speed_is_of_angle(&self) -> bool {
-        self.sampling.speed == SpeedSource::Angle
-    }
-
     /// Whether any of the samples `first..first + rows` matters to a feature.
     pub fn needs(&self, first: u64, rows: usize) -> bool {
         let last = first + rows as u64 - 1;
         let before = match self.sampling.speed {
             SpeedSource::Sensor => 0,
-            SpeedSource::Angle => SpeedOfAngle::samples(self.rate_hz),
+            SpeedSource::Angle => SpeedOfAngle::samples(self.rate_hz) as u64,
         };
         first == 1 || self.windows().any(|w| w.from <= last + before && first <= w.to)
     }

@@ -19,6 +19,11 @@ macro_rules! lane_struct {
             pub fn each(&mut self, see: &mut dyn FnMut(&mut f64)) {
                 $(self.$field.iter_mut().for_each(&mut *see);)+
             }
+
+            /// Adds every number of another.
+            pub fn add(&mut self, other: &Self) {
+                $(self.$field.iter_mut().zip(&other.$field).for_each(|(x, o)| *x += o);)+
+            }
         }
     };
 }
@@ -176,16 +181,6 @@ lane_struct!(
         iq,
     }
 );
-
-impl<const N: usize> Sums<N> {
-    /// Adds the sums of steps before.
-    pub fn add(&mut self, before: &mut Self) {
-        let mut all = Vec::new();
-        before.each(&mut |x| all.push(*x));
-        let mut next = all.into_iter();
-        self.each(&mut |x| *x += next.next().unwrap_or(0.0));
-    }
-}
 
 impl<const N: usize> Constants<N> {
     /// Writes lane `l` for an actuator with faults, resting at `rest_angle_rad`, under a constant load torque.

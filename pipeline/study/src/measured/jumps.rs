@@ -31,9 +31,9 @@ impl Jumps {
         self.0.is_empty()
     }
 
-    /// All at the same share of their samples.
-    pub fn all(&mut self, share: f64) {
-        self.0.iter_mut().for_each(|j| j.1 = share);
+    /// The same jumps, all at one share of their samples.
+    pub fn all_at(&self, share: f64) -> Self {
+        Self(self.0.iter().map(|j| (j.0, share)).collect())
     }
 
     /// Each at its own.

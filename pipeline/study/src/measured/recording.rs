@@ -563,7 +563,7 @@ pub fn grain<'a>(signals: impl Iterator<Item = &'a [f64]>) -> f64 {
 }
 
 /// Fourth differences of neighbours, in which a smooth signal leaves little.
-fn fourth_differences(x: &[f64]) -> impl Iterator<Item = f64> + '_ {
+pub fn fourth_differences(x: &[f64]) -> impl Iterator<Item = f64> + '_ {
     x.windows(5).map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4])
 }
 

@@ -11,14 +11,12 @@ const TELLS_S: f64 = 0.03;
 /// The shares that the measured angle tells.
 ///
 /// * `early`, `late` simulated with all jumps at the begin of their samples, and at the end
-pub(super) fn told(jumps: &Jumps, r: &Recorded, early: &Simulated, late: &Simulated) -> Vec<f64> {
+pub(super) fn shares(r: &Recorded, early: &Simulated, late: &Simulated) -> Vec<f64> {
     let angle = BenchChannel::Position;
-    let (Some(x), Some(a), Some(b)) = (r.measured.get(&angle), early.get(&angle), late.get(&angle)) else {
-        return jumps.0.iter().map(|j| j.1).collect();
-    };
+    let (jumps, x, a, b) = (&r.jumps.0, &r.measured[&angle], &early[&angle], &late[&angle]);
     let one = |i: usize| {
-        let (k, usual) = jumps.0[i];
-        let end = jumps.0.get(i + 1).map_or(x.len(), |next| next.0 + 1);
+        let (k, usual) = jumps[i];
+        let end = jumps.get(i + 1).map_or(x.len(), |next| next.0 + 1);
         let (mut xx, mut xy) = (0.0, 0.0);
         for j in (k + 1..end).take_while(|j| r.time_s[*j] < r.time_s[k] + TELLS_S) {
             let after = |y: &[f64]| y[j] - y[k];
@@ -32,7 +30,7 @@ pub(super) fn told(jumps: &Jumps, r: &Recorded, early: &Simulated, late: &Simula
             usual
         }
     };
-    (0..jumps.0.len()).map(one).collect()
+    (0..jumps.len()).map(one).collect()
 }
 
 /// A simulated channel with jumps at these shares, of those with all jumps early and late.
@@ -92,9 +90,8 @@ mod tests {
     fn a_jump_is_held_and_a_slope_is_straight() {
         let time_s = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
         let value = [0.0, 0.1, 0.2, 5.0, 5.0, 5.0];
-        let mut jumps = Jumps::of(&value);
         for (share, after) in [(1.0, 0.2), (0.5, 5.0)] {
-            jumps.all(share);
+            let jumps = Jumps::of(&value).all_at(share);
             let c = CommandBetween {
                 time_s: &time_s,
                 value: &value,

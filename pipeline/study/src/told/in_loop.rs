@@ -52,15 +52,15 @@ pub fn late_control(
     if !bench.own || late_already || quiet || noise <= 0.0 || !verified.heldout {
         return Ok(None);
     }
-    let (mut all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
-    let first = pieces(bench, &mut all, child, &FIRST);
+    let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
+    let first = pieces(bench, &all, child, &FIRST);
     let Some(coarse) = least(&FIRST, &first, None).filter(|d| *d > 0.0) else {
         return Ok(None);
     };
     let around: Vec<f64> = (0..AT_ONCE)
         .map(|k| (coarse + FINER_S * (k as f64 - 0.5 * (AT_ONCE - 1) as f64)).max(0.0))
         .collect();
-    let finer = pieces(bench, &mut all, child, &around);
+    let finer = pieces(bench, &all, child, &around);
     let Some(value) = least(&around, &finer, None) else {
         return Ok(None);
     };
@@ -80,7 +80,7 @@ pub fn late_control(
         let samples: usize = proving().map(|p| p.samples).sum();
         (samples > 0).then(|| proving().map(|p| p.gaps[0]).sum::<f64>() / samples as f64)
     };
-    let (Some(before), Some(after)) = (held(&first), held(&pieces(bench, &mut all, child, &[value]))) else {
+    let (Some(before), Some(after)) = (held(&first), held(&pieces(bench, &all, child, &[value]))) else {
         return Ok(None);
     };
     let takes = before - after > LEAST_SHARE * (before - noise * noise);
@@ -91,7 +91,7 @@ pub fn late_control(
 
 /// The simulated speed against the measured one, piece by piece, with each of at most [`AT_ONCE`] delays. A command that jumps within a
 /// sample may do so at any moment of it, whatever the delay.
-fn pieces(bench: &Bench, all: &mut [OfRuns<'_>], child: &ActuatorParameters, delays: &[f64]) -> Vec<Piece> {
+fn pieces(bench: &Bench, all: &[OfRuns<'_>], child: &ActuatorParameters, delays: &[f64]) -> Vec<Piece> {
     let late: Vec<ActuatorParameters> = delays
         .iter()
         .map(|d| {
@@ -103,23 +103,22 @@ fn pieces(bench: &Bench, all: &mut [OfRuns<'_>], child: &ActuatorParameters, del
         .collect();
     let mut out = Vec::new();
     for (runs, recorded) in all {
-        if !recorded.measured.contains_key(&BenchChannel::Velocity) {
+        let Some(measured) = recorded.measured.get(&BenchChannel::Velocity) else {
             continue;
-        }
+        };
         let simulated: Vec<Vec<f64>> = if recorded.jumps.is_empty() {
             let speed = |mut s: Simulated| s.remove(&BenchChannel::Velocity).unwrap_or_default();
             let all = verify::driven::<AT_ONCE>(bench, recorded, &late);
             all.into_iter().map(speed).collect()
         } else {
-            let (early, late) = verify::either(bench, recorded, &late);
+            let (early, late) = verify::either::<AT_ONCE>(bench, recorded, &late);
             let one = |(early, late): (&Simulated, &Simulated)| {
-                let shares = command::told(&recorded.jumps, recorded, early, late);
-                let speed = |s: &Simulated| s[&BenchChannel::Velocity].clone();
-                command::blend(&recorded.jumps, &shares, &speed(early), &speed(late))
+                let shares = command::shares(recorded, early, late);
+                let speed = BenchChannel::Velocity;
+                command::blend(&recorded.jumps, &shares, &early[&speed], &late[&speed])
             };
             early.iter().zip(&late).map(one).collect()
         };
-        let measured = &recorded.measured[&BenchChannel::Velocity];
         for run in runs {
             let of = recorded.samples_of(run);
             let gap = |speed: &Vec<f64>| -> f64 { of.iter().map(|&k| (measured[k] - speed[k]).powi(2)).sum() };

@@ -4,7 +4,7 @@
 
 use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::search::beside::{Beside, found, scatter};
-use crate::told::scale::{KNOBS, Knob};
+use crate::told::knobs::{self, KNOBS, Knob, MECHANICS, PIECE_S, STEP};
 use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated};
 use nalgebra::{DMatrix, DVector};
 use schemas::error::Result;
@@ -13,12 +13,6 @@ use sim_worker::parameters::ActuatorParameters;
 
 /// Time over which the angle's change is one number [s] (assumed): a count of the angle is small beside it.
 const MEAN_S: f64 = 4e-3;
-/// Difference by which slopes of constants are taken, relative.
-const STEP: f64 = 0.01;
-/// Gaps beyond so many times their usual size count by their size, not by its square (assumed).
-const USUAL: f64 = 3.0;
-/// Pieces of a recording, each of which is left out once [s].
-const PIECE_S: f64 = 1.0;
 /// Share of the squared gap on held-out runs, constants re-tuned, that an effect must take, and how much more of it the next best
 /// must leave (assumed).
 const LEAST_SHARE: f64 = 0.6;
@@ -28,35 +22,18 @@ const LOOSE: f64 = 2.0;
 /// Standard deviations from which an effect is one (assumed).
 const CERTAIN: f64 = 5.0;
 /// Speed of the gap, rms, up to which nothing is looked for (assumed: without anything missing 0.03 to 0.14 was left) [rad/s].
-const QUIET: f64 = 0.2;
+pub const QUIET: f64 = 0.2;
 /// Rounds about what was found, longest step of one over the value, and difference by which its slope is taken; kinds that are looked
 /// into.
 const ROUNDS: usize = 2;
 const LONGEST: f64 = 0.6;
 const NEARBY: f64 = 0.2;
 const LOOKED_INTO: usize = 4;
+/// Times that gaps are weighted anew.
+const REWEIGHTED: usize = 4;
 
-/// Constants that the equations tell, beside those of [`KNOBS`].
-const MECHANICS: [Knob; 3] = [
-    Knob {
-        name: "inertia",
-        sd: 0.05,
-        turn: |p, f| p.inertia_kg_m2 *= f,
-    },
-    Knob {
-        name: "viscous",
-        sd: 0.2,
-        turn: |p, f| p.viscous_n_m_s_per_rad *= f,
-    },
-    Knob {
-        name: "coulomb",
-        sd: 0.1,
-        turn: |p, f| p.static_friction_n_m *= f,
-    },
-];
-
-fn knobs() -> impl Iterator<Item = &'static Knob> {
-    KNOBS.iter().chain(&MECHANICS)
+fn knobs() -> Vec<&'static Knob> {
+    KNOBS.iter().chain(&MECHANICS).collect()
 }
 
 /// An effect that is tried, and the size that its slope is taken with.
@@ -142,6 +119,14 @@ struct Solved {
     left: f64,
 }
 
+/// A candidate, its value with the standard deviation, and the squared gap that is left on what proves.
+struct Followed<'a> {
+    candidate: &'a Candidate,
+    value: f64,
+    sd: f64,
+    left: f64,
+}
+
 /// An effect that the simulated loop shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OfMotion {
@@ -163,7 +148,7 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters) -> Result<Option<OfMotion
         return Ok(None);
     }
     let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
-    let n = knobs().count();
+    let n = knobs().len();
     // as near as constants come
     let mut turned = DVector::zeros(n);
     let mut constants = None;
@@ -191,54 +176,54 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters) -> Result<Option<OfMotion
         .collect();
     ranked.sort_by(|a, b| a.1.left.total_cmp(&b.1.left));
     // the best of each kind; each about what it found
-    let mut kinds: Vec<(usize, f64, f64, f64)> = Vec::new();
+    let mut kinds: Vec<Followed> = Vec::new();
     for (c, first) in &ranked {
-        let kind = tried[*c].effect.kind;
+        let candidate = &tried[*c];
+        let kind = candidate.effect.kind;
         if kinds.len() == LOOKED_INTO {
             break;
         }
-        if kinds.iter().any(|k| tried[k.0].effect.kind == kind) {
+        if kinds.iter().any(|k| k.candidate.effect.kind == kind) {
             continue;
         }
-        let (value, sd, left) = match kind {
-            EffectKind::Compliance => (first.x[n], first.sd, first.left),
-            _ => match about(bench, &all, child, &turned, &tried[*c], first.x[n]) {
-                Some(found) => found,
-                None => continue,
-            },
-        };
-        kinds.push((*c, value, sd, left));
+        kinds.extend(match kind {
+            EffectKind::Compliance => Some(Followed {
+                candidate,
+                value: first.x[n],
+                sd: first.sd,
+                left: first.left,
+            }),
+            _ => followed(bench, &all, child, &turned, candidate, first.x[n]),
+        });
     }
-    kinds.sort_by(|a, b| a.3.total_cmp(&b.3));
-    let Some(&(best, value, sd, left)) = kinds.first() else {
-        return Ok(None);
-    };
-    let candidate = &tried[best];
-    let kind = candidate.effect.kind;
-    let apart = kinds.get(1).is_none_or(|rival| rival.3 > APART * left);
+    kinds.sort_by(|a, b| a.left.total_cmp(&b.left));
+    let Some(best) = kinds.first() else { return Ok(None) };
+    let (effect, left) = (&best.candidate.effect, best.left);
+    let kind = effect.kind;
+    let apart = kinds.get(1).is_none_or(|rival| rival.left > APART * left);
     let takes = left < (1.0 - LEAST_SHARE) * constants;
-    if kind == EffectKind::Compliance || !apart || !takes || value.abs() < CERTAIN * sd {
+    if kind == EffectKind::Compliance || !apart || !takes || best.value.abs() < CERTAIN * best.sd {
         return Ok(None);
     }
     let rms = (constants.sqrt() / MEAN_S, left.sqrt() / MEAN_S);
     let seen = ("speed of the measured angle against the simulated loop's", "rad/s");
-    let mut beside = found(kind, (value, sd), seen, rms);
-    beside.sensor = candidate.effect.sensor;
-    beside.draw = candidate.effect.draw;
-    beside.second = (kind == EffectKind::TurnShort).then(|| candidate.effect.values[1]);
+    let mut beside = found(kind, (best.value, best.sd), seen, rms);
+    beside.sensor = effect.sensor;
+    beside.draw = effect.draw;
+    beside.second = (kind == EffectKind::TurnShort).then_some(effect.values[1]);
     let settles = left.sqrt() < QUIET * MEAN_S;
     Ok(Some(OfMotion { beside, settles }))
 }
 
-/// Value, standard deviation and squared gap left on what proves, of one candidate after some rounds about what it found.
-fn about(
+/// A candidate after some rounds about what it found.
+fn followed<'a>(
     bench: &Bench,
     all: &[OfRuns<'_>],
     child: &ActuatorParameters,
     turned: &DVector<f64>,
-    candidate: &Candidate,
+    candidate: &'a Candidate,
     first: f64,
-) -> Option<(f64, f64, f64)> {
+) -> Option<Followed<'a>> {
     let n = turned.len();
     let key = &candidate.effect.kind.keys()[0];
     let (mut turned, mut value) = (turned.clone(), first.clamp(key.low, key.high));
@@ -256,7 +241,12 @@ fn about(
         // a long step goes by slopes that no longer hold
         let step = now.x[n].clamp(-LONGEST * value.abs(), LONGEST * value.abs());
         value = (value + step).clamp(key.low, key.high);
-        last = Some((value, now.sd, now.left));
+        last = Some(Followed {
+            candidate,
+            value,
+            sd: now.sd,
+            left: now.left,
+        });
     }
     last
 }
@@ -271,31 +261,23 @@ fn compared(
     turned: &DVector<f64>,
     tried: &[Candidate],
 ) -> Vec<Piece> {
-    let near = |moved: Option<usize>| {
-        let mut p = child.clone();
-        for (i, k) in knobs().enumerate() {
-            let more = if moved == Some(i) { STEP } else { 0.0 };
-            (k.turn)(&mut p, (turned[i] + more).exp());
-        }
-        p
-    };
-    let n = knobs().count();
-    let mut models = vec![(near(None), 1.0)];
-    models.extend((0..n).map(|k| (near(Some(k)), STEP)));
+    let turned = knobs::about(child, &knobs(), turned);
+    let base = turned[0].clone();
+    let mut over = vec![1.0];
+    over.resize(turned.len(), STEP);
+    over.extend(tried.iter().map(|c| c.size));
+    let mut models = turned;
     models.extend(tried.iter().map(|c| {
-        let mut p = near(None);
+        let mut p = base.clone();
         p.effects.retain(|e| e.kind != c.effect.kind);
         p.effects.push(c.effect.clone());
-        (p, c.size)
+        p
     }));
     let mut out = Vec::new();
     for (runs, recorded) in all {
         let simulated: Vec<Simulated> = models
             .chunks(AT_ONCE)
-            .flat_map(|some| {
-                let some: Vec<ActuatorParameters> = some.iter().map(|m| m.0.clone()).collect();
-                verify::driven::<AT_ONCE>(bench, recorded, &some)
-            })
+            .flat_map(|some| verify::driven::<AT_ONCE>(bench, recorded, some))
             .collect();
         let angle = BenchChannel::Position;
         let measured = &recorded.measured[&angle];
@@ -310,7 +292,7 @@ fn compared(
                     proves: run.role == Role::HeldOut,
                     gap: less(changes(measured), 1.0),
                     slopes: (1..models.len())
-                        .map(|m| less(changes(&simulated[m][&angle]), models[m].1))
+                        .map(|m| less(changes(&simulated[m][&angle]), over[m]))
                         .collect(),
                 });
             }
@@ -324,11 +306,10 @@ fn compared(
 /// * `turned` where the constants are: they are believed to be near 0
 /// * `with` place of the candidate's slopes
 fn solved(pieces: &[Piece], turned: &DVector<f64>, with: Option<usize>) -> Option<Solved> {
-    let n = knobs().count();
-    let columns: Vec<usize> = (0..n).chain(with).collect();
+    let believed = knobs();
+    let columns: Vec<usize> = (0..believed.len()).chain(with).collect();
     let finds: Vec<&Piece> = pieces.iter().filter(|p| !p.proves).collect();
     let m = columns.len();
-    let mut x = DVector::zeros(m);
     let left_of = |p: &Piece, x: &DVector<f64>, t: usize| {
         p.gap[t]
             - columns
@@ -337,52 +318,45 @@ fn solved(pieces: &[Piece], turned: &DVector<f64>, with: Option<usize>) -> Optio
                 .map(|(i, c)| x[i] * p.slopes[*c][t])
                 .sum::<f64>()
     };
-    let sizes = |x: &DVector<f64>, of: &[&Piece]| -> f64 {
-        let mut all: Vec<f64> = of
-            .iter()
-            .flat_map(|p| (0..p.gap.len()).map(|t| left_of(p, x, t).abs()))
-            .collect();
-        let middle = all.len() / 2;
-        match all.get(middle) {
-            Some(_) => 1.4826 * *all.select_nth_unstable_by(middle, f64::total_cmp).1,
-            None => 0.0,
-        }
-    };
-    let mut sd = 0.0;
-    for _ in 0..4 {
-        let usual = sizes(&x, &finds).max(1e-300);
-        let weight = |gap: f64| (USUAL * usual / gap.abs().max(1e-300)).min(1.0);
-        let sums: Vec<(DMatrix<f64>, DVector<f64>)> = finds
-            .iter()
-            .map(|p| {
-                let (mut gram, mut right) = (DMatrix::zeros(m, m), DVector::zeros(m));
-                for t in 0..p.gap.len() {
-                    let w = weight(left_of(p, &x, t)) / (usual * usual);
-                    let row = DVector::from_iterator(m, columns.iter().map(|c| p.slopes[*c][t]));
-                    gram += w * &row * row.transpose();
-                    right += w * p.gap[t] * row;
-                }
-                (gram, right)
-            })
-            .collect();
-        let step = |out: Option<usize>| {
-            let kept = || sums.iter().enumerate().filter(|(k, _)| Some(*k) != out);
-            let mut gram: DMatrix<f64> = kept().map(|s| &s.1.0).sum();
-            let mut right: DVector<f64> = kept().map(|s| &s.1.1).sum();
-            for (i, k) in knobs().enumerate() {
-                let belief = (LOOSE * k.sd).powi(-2);
-                gram[(i, i)] += belief;
-                right[i] -= turned[i] * belief;
+    // normal equations of each piece, about what is left of it
+    let about = |x: &DVector<f64>| -> Vec<(DMatrix<f64>, DVector<f64>)> {
+        let left = |p: &&Piece| -> Vec<f64> { (0..p.gap.len()).map(|t| left_of(p, x, t)).collect() };
+        let left: Vec<Vec<f64>> = finds.iter().map(left).collect();
+        let usual = knobs::usual(left.iter().flatten().map(|g| g.abs()).collect()).max(1e-300);
+        let of = |(p, left): (&&Piece, &Vec<f64>)| {
+            let (mut gram, mut right) = (DMatrix::zeros(m, m), DVector::zeros(m));
+            for (t, left) in left.iter().enumerate() {
+                let w = knobs::weight(*left, usual) / (usual * usual);
+                let row = DVector::from_iterator(m, columns.iter().map(|c| p.slopes[*c][t]));
+                gram += w * &row * row.transpose();
+                right += w * p.gap[t] * row;
             }
-            gram.cholesky().map(|g| g.solve(&right))
+            (gram, right)
         };
-        x = step(None)?;
-        if with.is_some() {
-            let without = (0..finds.len()).filter_map(|k| Some(step(Some(k))?[m - 1]));
-            let without: Vec<f64> = without.collect();
-            sd = scatter(without.into_iter(), x[m - 1]);
+        finds.iter().zip(&left).map(of).collect()
+    };
+    let step = |sums: &[(DMatrix<f64>, DVector<f64>)], out: Option<usize>| {
+        let kept = || sums.iter().enumerate().filter(|(k, _)| Some(*k) != out);
+        let mut gram: DMatrix<f64> = kept().map(|s| &s.1.0).sum();
+        let mut right: DVector<f64> = kept().map(|s| &s.1.1).sum();
+        for (i, k) in believed.iter().enumerate() {
+            let belief = (LOOSE * k.sd).powi(-2);
+            gram[(i, i)] += belief;
+            right[i] -= turned[i] * belief;
         }
+        gram.cholesky().map(|g| g.solve(&right))
+    };
+    let (mut x, mut sums) = (DVector::zeros(m), Vec::new());
+    for _ in 0..REWEIGHTED {
+        sums = about(&x);
+        x = step(&sums, None)?;
     }
+    let without = with.map_or(Vec::new(), |_| {
+        (0..finds.len())
+            .filter_map(|k| Some(step(&sums, Some(k))?[m - 1]))
+            .collect()
+    });
+    let sd = scatter(without.into_iter(), x[m - 1]);
     let proves = || pieces.iter().filter(|p| p.proves);
     let count: usize = proves().map(|p| p.gap.len()).sum();
     let left = proves()

@@ -3,6 +3,7 @@ pub mod compare;
 pub mod compare_motion;
 pub mod findings;
 pub mod in_loop;
+mod knobs;
 pub mod loop_effects;
 pub mod next;
 pub mod persist;

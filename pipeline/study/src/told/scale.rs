@@ -5,65 +5,21 @@
 use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::search::beside::scatter;
 use crate::search::study::OfLoop;
+use crate::told::knobs::{self, KNOBS, Knob, PIECE_S, STEP};
 use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated};
 use nalgebra::{DMatrix, DVector};
 use schemas::error::Result;
 use sim_worker::parameters::ActuatorParameters;
 
-/// Difference by which slopes are taken, relative.
-const STEP: f64 = 0.01;
 /// Longest step of a round, relative, and rounds.
 const LONGEST: f64 = 0.04;
 const ROUNDS: usize = 4;
-/// Gaps beyond so many times their usual size count by their size, not by its square (assumed): rotors that stick a moment
-/// longer are no constants that are off.
-const USUAL: f64 = 3.0;
-/// Pieces of a recording, each of which is left out once [s].
-const PIECE_S: f64 = 1.0;
 /// Time over which a gap of the angle is one and the same [s] (assumed).
 const ONE_S: f64 = 0.05;
 /// Share of the angle's gap on held-out runs, rms, that must be gone for the loop to be believed (assumed).
 const LEAST_SHARE: f64 = 0.2;
 /// Least standard deviation, relative (assumed): what the model's step and relays make of the limits.
 const LEAST_SD: f64 = 1e-3;
-
-/// A constant that the loop tells, how far it may be off in units of one type, one sigma relative (assumed), and what it is of an
-/// actuator.
-pub(super) struct Knob {
-    pub(super) name: &'static str,
-    pub(super) sd: f64,
-    pub(super) turn: fn(&mut ActuatorParameters, f64),
-}
-
-pub(super) const KNOBS: [Knob; 4] = [
-    Knob {
-        name: "torque_constant",
-        sd: 0.02,
-        // with all that the current tells by it
-        turn: |p, f| {
-            p.drive_constant_n_m_per_a = p.drive_constant();
-            p.back_emf_v_s_per_rad *= f;
-            p.inertia_kg_m2 *= f;
-            p.viscous_n_m_s_per_rad *= f;
-            p.static_friction_n_m *= f;
-        },
-    },
-    Knob {
-        name: "resistance",
-        sd: 0.04,
-        turn: |p, f| p.phase_resistance_ohm *= f,
-    },
-    Knob {
-        name: "inductance",
-        sd: 0.03,
-        turn: |p, f| p.phase_inductance_h *= f,
-    },
-    Knob {
-        name: "supply_voltage",
-        sd: 0.01,
-        turn: |p, f| p.supply_voltage_v *= f,
-    },
-];
 
 /// A piece of a recording: normal equations of its angle's gap, and the gap itself.
 struct Piece {
@@ -169,18 +125,7 @@ fn pieces(
     x: &DVector<f64>,
     usual: f64,
 ) -> (Vec<Piece>, f64) {
-    let near = |moved: Option<usize>| {
-        let mut p = child.clone();
-        for (i, k) in knobs.iter().enumerate() {
-            let more = if moved == Some(i) { STEP } else { 0.0 };
-            (k.turn)(&mut p, (x[i] + more).exp());
-        }
-        p
-    };
-    let models: Vec<ActuatorParameters> = std::iter::once(None)
-        .chain((0..knobs.len()).map(Some))
-        .map(near)
-        .collect();
+    let models = knobs::about(child, knobs, x);
     let (mut out, mut sizes) = (Vec::new(), Vec::new());
     for (runs, recorded) in all {
         let simulated: Vec<Simulated> = verify::driven::<AT_ONCE>(bench, recorded, &models);
@@ -198,7 +143,7 @@ fn pieces(
                 };
                 for &k in part {
                     let gap = measured[k] - base[k];
-                    let weight = (USUAL * usual / gap.abs().max(1e-300)).min(1.0);
+                    let weight = knobs::weight(gap, usual);
                     let slopes = DVector::from_iterator(knobs.len(), moved.iter().map(|m| (m[k] - base[k]) / STEP));
                     piece.gram += weight * &slopes * slopes.transpose();
                     piece.right += weight * gap * slopes;
@@ -209,10 +154,6 @@ fn pieces(
             }
         }
     }
-    let middle = sizes.len() / 2;
-    let usual = match sizes.get(middle) {
-        Some(_) => 1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1,
-        None => 0.0,
-    };
+    let usual = knobs::usual(sizes);
     (out, usual)
 }

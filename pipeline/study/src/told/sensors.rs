@@ -25,18 +25,15 @@ const FINE_BITS: u32 = 24;
 /// Currents of which the range is so many times the greatest (assumed).
 const RANGE: f64 = 1.1;
 
-const PHASES: [BenchChannel; 3] = [BenchChannel::CurrentA, BenchChannel::CurrentB, BenchChannel::CurrentC];
-
 /// The sensors that recordings are by; `None` where they are the reference's, or where there is nothing to simulate.
 ///
 /// * `child` the actuator with what was found
-/// * `of_angle` the speed is made of the angle
 ///
 /// # Errors
 /// Refuses files that cannot be read.
-pub fn seen(bench: &Bench, child: &ActuatorParameters, of_angle: bool) -> Result<Option<SensorModel>> {
+pub fn seen(bench: &Bench, child: &ActuatorParameters) -> Result<Option<SensorModel>> {
     let has = |c: &BenchChannel| bench.channel(*c).is_some();
-    if !bench.own || !has(&BenchChannel::Position) || !PHASES.iter().all(has) {
+    if !bench.own || !has(&BenchChannel::Position) || !BenchChannel::CURRENTS.iter().all(has) {
         return Ok(None);
     }
     let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
@@ -44,14 +41,10 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters, of_angle: bool) -> Result
     if recorded.is_empty() {
         return Ok(None);
     }
-    let simulated = |currents: CurrentSampling| -> Vec<Simulated> {
-        let one = |r: &&Recorded| verify::sampled::<1>(bench, r, std::slice::from_ref(child), currents).swap_remove(0);
-        recorded.iter().map(one).collect()
-    };
-    let (means, points) = rayon::join(
-        || simulated(CurrentSampling::Mean),
-        || simulated(CurrentSampling::Point),
-    );
+    let (means, points): (Vec<Simulated>, Vec<Simulated>) = recorded
+        .iter()
+        .map(|r| verify::means_and_points(bench, r, child))
+        .unzip();
     let signals = |channels: &[BenchChannel]| -> Vec<&[f64]> {
         let mut out = Vec::new();
         for r in &recorded {
@@ -61,22 +54,22 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters, of_angle: bool) -> Result
     };
     let reference = catalogue::sensors("reference")?;
     let angle = recording::grain(signals(&[BenchChannel::Position]).into_iter());
-    let count = recording::grain(signals(&PHASES).into_iter());
-    let by_means = rough(&recorded, &means, &PHASES);
-    let by_points = rough(&recorded, &points, &PHASES);
+    let count = recording::grain(signals(&BenchChannel::CURRENTS).into_iter());
+    let by_means = rough(&recorded, &means, &BenchChannel::CURRENTS);
+    let by_points = rough(&recorded, &points, &BenchChannel::CURRENTS);
     let currents = sampling(&by_means, &by_points, count);
     let (of_currents, simulated) = match currents {
         CurrentSampling::Mean => (by_means, &means),
         CurrentSampling::Point => (by_points, &points),
     };
-    let greatest = signals(&PHASES)
+    let greatest = signals(&BenchChannel::CURRENTS)
         .into_iter()
         .flatten()
         .fold(0.0, |a: f64, x| a.max(x.abs()));
     let (current_range_a, current_bits) = range_of(greatest, count);
-    let speed = match of_angle {
-        true => SpeedSource::Angle,
-        false => SpeedSource::Sensor,
+    let speed = match bench.made_of_angle {
+        Some(_) => SpeedSource::Angle,
+        None => SpeedSource::Sensor,
     };
     let model = SensorModel {
         name: "as the study saw them".into(),
@@ -103,9 +96,7 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters, of_angle: bool) -> Result
 /// Squares of the roughness of blocks, measured and simulated; first those about which the simulation is smooth.
 fn rough(recorded: &[&Recorded], simulated: &[Simulated], channels: &[BenchChannel]) -> Vec<(f64, f64)> {
     let square = |x: &[f64]| {
-        let all = x
-            .windows(5)
-            .map(|w| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).powi(2));
+        let all = recording::fourth_differences(x).map(|d| d.powi(2));
         all.sum::<f64>() / (70.0 * (x.len() - 4) as f64)
     };
     let mut out = Vec::new();
@@ -180,7 +171,7 @@ fn range_of(greatest: f64, grain: f64) -> (f64, u32) {
 fn offset(recorded: &[&Recorded], simulated: &[Simulated]) -> f64 {
     let (mut most, mut seen) = (0.0, 0.0);
     for (r, s) in recorded.iter().zip(simulated) {
-        for c in PHASES {
+        for c in BenchChannel::CURRENTS {
             let (Some(x), Some(y)) = (r.measured.get(&c), s.get(&c)) else {
                 continue;
             };

@@ -48,10 +48,12 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
     let effects = effects(o, &intervals);
     let by_channel = gaps(o);
     let gap = by_channel.first().cloned();
-    let unnamed_share = if o.verdict == Verdict::Unknown {
-        1.0 - o.explained
-    } else {
-        (1.0 - o.explained).max(0.0)
+    let unnamed_share = match o.verdict {
+        Verdict::None | Verdict::Retune => 0.0,
+        // what was found beside the equations leaves nothing in them to be named
+        Verdict::Named if o.model.terms.is_empty() => 0.0,
+        Verdict::Unknown => 1.0 - o.explained,
+        _ => (1.0 - o.explained).max(0.0),
     };
     let regions = places::regions(m, &o.retuned);
     let unnamed = matches!(o.verdict, Verdict::Unknown | Verdict::NamedWithRemainder).then(|| unnamed(o, &regions));
@@ -69,14 +71,7 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
         leaders: leaders(o),
         not_excited: excitation::not_excited(m),
         missing: missing(m),
-        // what was found beside the equations leaves nothing in them to be named
-        unnamed_share: if matches!(o.verdict, Verdict::None | Verdict::Retune)
-            || o.verdict == Verdict::Named && o.model.terms.is_empty()
-        {
-            0.0
-        } else {
-            unnamed_share
-        },
+        unnamed_share,
         unnamed,
         profiles: places::profiles(o),
         traces: places::traces(o),

@@ -5,14 +5,13 @@ use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role, RunSpec};
 use crate::measured::jumps::Jumps;
 use crate::measured::own::with_q_current;
 use crate::measured::rows::{in_si, split};
-use crate::told::command::{CommandBetween, told};
+use crate::told::command::{self, CommandBetween};
 use ema_tables::Table;
 use schemas::channel::{Channel, ChannelSet};
 use schemas::error::Result;
 use schemas::fault::FaultState;
 use sim_worker::monitor::{MonitorModel, STEP_S};
 use sim_worker::parameters::ActuatorParameters;
-use sim_worker::sensor::CurrentSampling;
 use sim_worker::simulate::LANES;
 use sim_worker::test_bench::{Built, Kernel, Lane, NumericalTestBench};
 use std::collections::BTreeMap;
@@ -89,33 +88,29 @@ pub struct Verification {
 /// Refuses files that cannot be read.
 pub fn place_jumps(bench: &mut Bench, child: &ActuatorParameters) -> Result<()> {
     let (all, _) = recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
-    let place = |(runs, mut recorded): OfRuns<'_>| {
-        if !recorded.jumps.is_empty() {
-            let (early, late) = either(bench, &mut recorded, std::slice::from_ref(child));
-            let shares = told(&recorded.jumps, &recorded, &early[0], &late[0]);
-            recorded.jumps.set(&shares);
+    let place = |(runs, recorded): OfRuns<'_>| {
+        let mut jumps = recorded.jumps.clone();
+        if !jumps.is_empty() {
+            let (early, late) = either::<1>(bench, &recorded, std::slice::from_ref(child));
+            jumps.set(&command::shares(&recorded, &early[0], &late[0]));
         }
-        (runs[0].file.clone(), runs[0].filter.clone(), recorded.jumps)
+        (runs[0].file.clone(), runs[0].filter.clone(), jumps)
     };
-    let placed = all.into_iter().map(place).collect();
-    bench.jumps = placed;
+    bench.jumps = all.into_iter().map(place).collect();
     Ok(())
 }
 
-/// The test bench where each jump of the command comes as early as it may, and as late; at most [`AT_ONCE`] actuators.
-pub(super) fn either(
+/// The test bench where each jump of the command comes as early as it may, and as late.
+pub(super) fn either<const N: usize>(
     bench: &Bench,
-    recorded: &mut Recorded,
+    r: &Recorded,
     actuators: &[ActuatorParameters],
-) -> (Vec<Simulated>, Vec<Simulated>) {
-    let mut at = |share: f64| {
-        recorded.jumps.all(share);
-        match actuators.len() {
-            1 => driven::<1>(bench, recorded, actuators),
-            _ => driven::<AT_ONCE>(bench, recorded, actuators),
-        }
-    };
-    (at(0.0), at(1.0))
+) -> (Vec<Simulated>, Vec<Simulated>)
+where
+    Kernel: Built<N>,
+{
+    let at = |share: f64| simulated::<N>(bench, r, &r.jumps.all_at(share), actuators, false).0;
+    rayon::join(|| at(0.0), || at(1.0))
 }
 
 /// What simulators give for a channel of a bench.
@@ -135,7 +130,7 @@ pub(super) struct Recorded {
     file: String,
     pub(super) time_s: Vec<f64>,
     /// user side [rad]
-    pub(super) command: Vec<f64>,
+    command: Vec<f64>,
     pub(super) measured: BTreeMap<BenchChannel, Vec<f64>>,
     load_n_m: f64,
     /// samples by which the gap is judged
@@ -403,16 +398,25 @@ pub(super) fn driven<const N: usize>(bench: &Bench, r: &Recorded, actuators: &[A
 where
     Kernel: Built<N>,
 {
-    sampled::<N>(bench, r, actuators, CurrentSampling::Mean)
+    simulated::<N>(bench, r, &r.jumps, actuators, false).0
 }
 
-/// As [`driven`], with currents of this sort.
-pub(super) fn sampled<const N: usize>(
+/// As [`driven`], of one actuator; and the same with currents at points.
+pub(super) fn means_and_points(bench: &Bench, r: &Recorded, p: &ActuatorParameters) -> (Simulated, Simulated) {
+    let (mut means, mut points) = simulated::<1>(bench, r, &r.jumps, std::slice::from_ref(p), true);
+    (means.swap_remove(0), points.swap_remove(0))
+}
+
+/// As [`driven`], with jumps at these places.
+///
+/// * `points` whether currents are wanted at points too: they come second, nothing where they are not
+fn simulated<const N: usize>(
     bench: &Bench,
     r: &Recorded,
+    jumps: &Jumps,
     actuators: &[ActuatorParameters],
-    currents: CurrentSampling,
-) -> Vec<Simulated>
+    points: bool,
+) -> (Vec<Simulated>, Vec<Simulated>)
 where
     Kernel: Built<N>,
 {
@@ -435,17 +439,19 @@ where
     let command = CommandBetween {
         time_s: &r.time_s,
         value: &r.command,
-        jumps: &r.jumps,
+        jumps,
     };
-    let mut out = vec![Simulated::new(); actuators.len()];
+    let mut means = vec![Simulated::new(); actuators.len()];
+    let mut at_points = if points { means.clone() } else { Vec::new() };
     let mut com = Vec::new();
     for (k, &end) in ends.iter().enumerate() {
         com.resize(end.saturating_sub(done) as usize, 0.0);
         command.fill(k, done, dt, &mut com);
         ntb.next_interval();
-        match currents {
-            CurrentSampling::Mean => ntb.advance(&com),
-            CurrentSampling::Point => ntb.advance_to_points(&com),
+        if points {
+            ntb.advance_to_points(&com);
+        } else {
+            ntb.advance(&com);
         }
         done = done.max(end);
         for (c, channel) in &asked {
@@ -454,15 +460,21 @@ where
             } else {
                 1.0
             };
-            for (out, x) in out.iter_mut().zip(ntb.samples(*channel)) {
-                let column = out.entry(*c).or_default();
-                // a mean over nothing is the last one
-                let last = column.last().copied().unwrap_or(0.0);
-                column.push(if x.is_finite() { x * gear } else { last });
+            let put = |out: &mut [Simulated], samples: [f64; N]| {
+                for (out, x) in out.iter_mut().zip(samples) {
+                    let column = out.entry(*c).or_default();
+                    // a mean over nothing is the last one
+                    let last = column.last().copied().unwrap_or(0.0);
+                    column.push(if x.is_finite() { x * gear } else { last });
+                }
+            };
+            put(&mut means, ntb.samples(*channel));
+            if points {
+                put(&mut at_points, ntb.points(*channel));
             }
         }
     }
-    out
+    (means, at_points)
 }
 
 /// The simplified model under the recorded command.
