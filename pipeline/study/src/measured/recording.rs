@@ -25,6 +25,14 @@ const LEAST_RATE_HZ: f64 = 1_000.0;
 /// Rate that is never needed [Hz] (assumed).
 const ENOUGH_HZ: f64 = 2_600.0;
 
+/// Steps of a signal that tell its grain: most grains of one, most of the least one, how far off a whole number, fewest (assumed).
+const MOST_GRAINS: usize = 64;
+const MOST_PARTS: usize = 32;
+const OFF_GRAIN: f64 = 0.05;
+const FEWEST_STEPS: usize = 60;
+/// Noise by the fourth differences, whose median is whole grains, over that of the grain alone up to which there is no other (assumed).
+const GRAIN_ALONE: f64 = 2.0;
+
 /// Means of so many samples for one, in all channels of all runs; the bench is told that they are means, of less
 /// noise.
 pub fn taken_together(bench: &mut Bench, runs: &mut [Run]) {
@@ -481,12 +489,16 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
     let grain = spec.resolution / 12f64.sqrt();
     let white = match spec.noise {
         Noise::Known(x) => x,
-        Noise::Repeats => from_repeats(spec.channel, runs).unwrap_or_else(|| estimated(spec.channel, runs)),
+        Noise::Repeats => from_repeats(spec.channel, runs).unwrap_or_else(|| without_grain(spec.channel, runs)),
         Noise::Estimated => {
-            return ChannelNoise {
-                rms: estimated(spec.channel, runs).max(grain_of(spec.channel, runs) / 12f64.sqrt()),
-                colour: 0.0,
+            let of_grain = grain_of(spec.channel, runs) / 12f64.sqrt();
+            let all = estimated(spec.channel, runs);
+            let rms = match (of_grain > 0.0, all) {
+                (true, Some(all)) if all >= GRAIN_ALONE * of_grain => all,
+                (true, _) => of_grain,
+                (false, _) => without_grain(spec.channel, runs),
             };
+            return ChannelNoise { rms, colour: 0.0 };
         }
     };
     let colour = if white > 2.0 * grain {
@@ -539,7 +551,8 @@ fn grain_of(channel: BenchChannel, runs: &[Run]) -> f64 {
     grain(runs.iter().filter_map(|r| r.channel(channel)))
 }
 
-/// As [`grain_of`], of signals.
+/// As [`grain_of`], of signals. Where they run fast few steps are of one grain: the grain is the greatest part of a small step that
+/// small steps are whole numbers of.
 pub fn grain<'a>(signals: impl Iterator<Item = &'a [f64]>) -> f64 {
     let mut steps: Vec<f64> = signals
         .flat_map(|x| x.windows(2).take(20_000).map(|w| (w[1] - w[0]).abs()))
@@ -548,18 +561,30 @@ pub fn grain<'a>(signals: impl Iterator<Item = &'a [f64]>) -> f64 {
     steps.retain(|s| *s > 1e-7 * most);
     steps.sort_by(f64::total_cmp);
     // the least step that is not a freak
-    let Some(&grain) = steps.get(steps.len() / 200) else {
+    let Some(&least) = steps.get(steps.len() / 200) else {
         return 0.0;
     };
-    let on = steps.iter().filter(|s| {
-        let n = **s / grain;
-        (n - n.round()).abs() < 0.02 + 0.002 * n
-    });
-    if most > 0.0 && on.count() * 20 > 19 * steps.len() && steps.len() > 100 && most > 1.5 * grain {
-        grain
-    } else {
-        0.0
-    }
+    let of = |parts: usize| {
+        let mut grain = least / parts as f64;
+        for most in [MOST_GRAINS / 8, MOST_GRAINS] {
+            // whole numbers of it, and those again: a step is written with few digits
+            let small = &steps[..steps.partition_point(|s| *s < most as f64 * grain)];
+            let on: Vec<(f64, f64)> = small
+                .iter()
+                .map(|s| (*s, (s / grain).round()))
+                .filter(|(s, n)| *n > 0.0 && (s / grain - n).abs() < OFF_GRAIN)
+                .collect();
+            let is_grain = small.len() >= FEWEST_STEPS && on.len() * 20 > 19 * small.len();
+            if !is_grain {
+                return None;
+            }
+            let (sn, nn) = on.iter().fold((0.0, 0.0), |(a, b), (s, n)| (a + s * n, b + n * n));
+            grain = sn / nn;
+        }
+        Some(grain)
+    };
+    let found = (1..=MOST_PARTS).find_map(of).unwrap_or(0.0);
+    if most > 1.5 * found { found } else { 0.0 }
 }
 
 /// Fourth differences of neighbours, in which a smooth signal leaves little.
@@ -579,16 +604,16 @@ pub fn roughness<'a>(signals: impl Iterator<Item = &'a [f64]>) -> Option<f64> {
     Some(median / 0.6745 / 70f64.sqrt())
 }
 
-/// From the fourth differences, in which a smooth signal leaves little: their median square, so that
-/// jumps do not count.
-fn estimated(channel: BenchChannel, runs: &[Run]) -> f64 {
-    let Some(usual) = roughness(runs.iter().filter_map(|r| r.channel(channel))) else {
-        return 0.0;
-    };
-    let values = runs.iter().filter_map(|r| r.channel(channel)).flatten();
-    let (low, high) = extent(values.copied());
-    // no sensor is better than a millionth of its range
-    usual.max(1e-6 * (high - low))
+/// From the fourth differences, in which a smooth signal leaves little: their median, so that jumps do not count; `None` where
+/// there are none.
+fn estimated(channel: BenchChannel, runs: &[Run]) -> Option<f64> {
+    roughness(runs.iter().filter_map(|r| r.channel(channel)))
+}
+
+/// As [`estimated`], but no better than a millionth of its range: only a sensor that counts over many turns is.
+fn without_grain(channel: BenchChannel, runs: &[Run]) -> f64 {
+    let all: Vec<&Run> = runs.iter().collect();
+    estimated(channel, runs).map_or(0.0, |usual| usual.max(1e-6 * range(&all, channel)))
 }
 
 /// Half the variance of the difference of runs that were meant to be alike.
