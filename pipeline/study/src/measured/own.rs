@@ -208,16 +208,22 @@ fn channels(table: &Table, mapped: &Mapped) -> Result<String> {
     Ok(text)
 }
 
-/// Whether phase currents and angle stand on the grids of these sensors, not on coarser ones, and the currents are no rougher than
-/// means by them: points of a current that a bridge makes are.
+/// Whether phase currents and angle are those of these sensors.
 fn is_seen(t: &Table, sensors: &SensorModel) -> bool {
-    let grain = |name: &str| t.numbers(name).map_or(0.0, |x| recording::grain(std::iter::once(&x[..])));
-    let is = |name: &str, count: f64| (grain(name) / count - 1.0).abs() < SAME_GRAIN;
+    match (t.numbers("theta_m"), t.numbers("i_a")) {
+        (Ok(angle), Ok(current)) => are_by(&angle, &current, sensors),
+        _ => false,
+    }
+}
+
+/// Whether an angle and a current stand on the grids of these sensors, not on coarser ones, and the current is no rougher than
+/// means by them: points of a current that a bridge makes are.
+fn are_by(angle: &[f64], current: &[f64], sensors: &SensorModel) -> bool {
+    let is = |x: &[f64], count: f64| (recording::grain(std::iter::once(x)) / count - 1.0).abs() < SAME_GRAIN;
     let noise = sensors.current_noise_a.hypot(sensors.current_count_a() / 12f64.sqrt());
-    let rough = |x: &[f64]| recording::roughness(std::iter::once(x)).is_some_and(|r| r > ROUGH * noise);
-    is("i_a", sensors.current_count_a())
-        && is("theta_m", sensors.resolver_count_rad())
-        && !t.numbers("i_a").is_ok_and(|x| rough(&x))
+    is(angle, sensors.resolver_count_rad())
+        && is(current, sensors.current_count_a())
+        && recording::roughness(std::iter::once(current)).is_some_and(|r| r < ROUGH * noise)
 }
 
 /// Whether the user's angle is the motor's over one ratio, to its last digits.
@@ -250,4 +256,33 @@ pub(crate) fn with_q_current(mut table: Table) -> Table {
         table.push("i_q", iq);
     }
     table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn coarser_angles_and_points_of_a_current_are_not_by_the_reference_sensors() {
+        let sensors = catalogue::sensors("reference").expect("read").expect("there");
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut even = |half: f64| half * (2.0 * rng.random::<f64>() - 1.0);
+        let angle = |count: f64| -> Vec<f64> {
+            let at = |k: usize| 300.0 * (3e-4 * k as f64).sin();
+            (0..6000).map(|k| (at(k) / count).round() * count).collect()
+        };
+        let mut current = |chatter: f64| -> Vec<f64> {
+            let count = sensors.current_count_a();
+            let noise = sensors.current_noise_a * 3f64.sqrt();
+            let mut at = |k: usize| 2.0 * (2e-3 * k as f64).sin() + even(noise) + even(chatter);
+            (0..6000).map(|k| (at(k) / count).round() * count).collect()
+        };
+        let (means, points) = (current(0.0), current(0.1));
+        let count = sensors.resolver_count_rad();
+        assert!(are_by(&angle(count), &means, &sensors));
+        assert!(!are_by(&angle(4.0 * count), &means, &sensors));
+        assert!(!are_by(&angle(count), &points, &sensors));
+    }
 }

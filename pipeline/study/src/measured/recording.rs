@@ -26,7 +26,7 @@ const LEAST_RATE_HZ: f64 = 1_000.0;
 const ENOUGH_HZ: f64 = 2_600.0;
 
 /// Steps of a signal that tell its grain: most grains of one, most of the least one, how far off a whole number, fewest (assumed).
-const MOST_GRAINS: usize = 64;
+const MOST_GRAINS: f64 = 64.0;
 const MOST_PARTS: usize = 32;
 const OFF_GRAIN: f64 = 0.05;
 const FEWEST_STEPS: usize = 60;
@@ -566,9 +566,13 @@ pub fn grain<'a>(signals: impl Iterator<Item = &'a [f64]>) -> f64 {
     };
     let of = |parts: usize| {
         let mut grain = least / parts as f64;
-        for most in [MOST_GRAINS / 8, MOST_GRAINS] {
-            // whole numbers of it, and those again: a step is written with few digits
-            let small = &steps[..steps.partition_point(|s| *s < most as f64 * grain)];
+        for few in [true, false] {
+            // the smallest ones, and with what they say of it those again: a step is written with few digits
+            let mut count = steps.partition_point(|s| *s < MOST_GRAINS * grain);
+            if few {
+                count = count.min(steps.len() / 200 + 2 * FEWEST_STEPS);
+            }
+            let small = &steps[..count];
             let on: Vec<(f64, f64)> = small
                 .iter()
                 .map(|s| (*s, (s / grain).round()))
@@ -633,4 +637,71 @@ fn from_repeats(channel: BenchChannel, runs: &[Run]) -> Option<f64> {
         count += n;
     }
     (count > 0).then(|| (0.5 * sum / count as f64).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    /// A motor that swings over many turns, at no moment slow for long, in counts, written with six decimals.
+    fn angle(counts: f64) -> Vec<f64> {
+        let count = TAU / counts;
+        let at = |k: usize| 300.0 * (3e-4 * k as f64).sin() + 20.0 * (5e-3 * k as f64).sin();
+        let written = |x: f64| ((x / count).round() * count * 1e6).round() / 1e6;
+        (0..8000).map(|k| written(at(k))).collect()
+    }
+
+    fn run(x: Vec<f64>) -> Run {
+        Run {
+            name: "swing".into(),
+            role: Role::Fit,
+            rate_hz: 2000.0,
+            start_s: 0.0,
+            samples: x.len(),
+            channels: BTreeMap::from([(BenchChannel::Position, x)]),
+            hash: String::new(),
+            rows: Vec::new(),
+            labels: Vec::new(),
+            lost: Vec::new(),
+            clock: None,
+            healthy: true,
+            steady: false,
+            spread: BTreeMap::new(),
+        }
+    }
+
+    #[test]
+    fn prop_a_grain_is_found_where_a_signal_runs_fast() {
+        for counts in [16384.0, 65536.0] {
+            let x = angle(counts);
+            let found = grain(std::iter::once(&x[..]));
+            assert!((found * counts / TAU - 1.0).abs() < 1e-3, "{counts}: {}", found * counts / TAU);
+        }
+        let smooth: Vec<f64> = (0..8000).map(|k| (1e-3 * f64::from(k)).sin()).collect();
+        assert_eq!(grain(std::iter::once(&smooth[..])), 0.0);
+    }
+
+    #[test]
+    fn an_angle_over_many_turns_is_known_to_its_count() {
+        let spec = ChannelSpec {
+            channel: BenchChannel::Position,
+            column: "theta".into(),
+            minus: None,
+            factor: 1.0,
+            unit_factor: 1.0,
+            unit: None,
+            lead: None,
+            mean: false,
+            delay_s: 0.0,
+            resolution: 0.0,
+            noise: Noise::Estimated,
+            offset: None,
+        };
+        for counts in [16384.0, 65536.0] {
+            let found = noise(&spec, &[run(angle(counts))]);
+            let of_count = TAU / counts / 12f64.sqrt();
+            assert!((found.rms / of_count - 1.0).abs() < 1e-3, "{counts}: {} {of_count}", found.rms);
+        }
+    }
 }

@@ -8,7 +8,7 @@ use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
-use crate::search::verdict::{SLOW_S, SLOWLY, WORTH, rough_energy};
+use crate::search::verdict::{SLOW_S, WORTH, rough_energy};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_worker::effect::{EffectKind, Equation};
@@ -20,6 +20,10 @@ pub(super) const LEAST_GAIN: f64 = 12.0;
 /// Smallest share of the excess over the noise of some equation that an effect must explain: one that explains
 /// less is the nearest relative of something else (assumed).
 const LEAST_PART: f64 = 0.30;
+/// Doublings of the shortest time over which what is slow is looked for, and energy of its means over that of their noise from which
+/// there is something to be explained (assumed).
+pub(super) const SLOWEST: i32 = 4;
+pub(super) const SLOW_EXCESS: f64 = 1.5;
 /// Smallest share of the transmission's excess that a spring in it must explain (assumed).
 const LEAST_BENT: f64 = 0.5;
 /// Gap of the transmission over its noise from which a load is not where it is thought to be (assumed).
@@ -339,7 +343,8 @@ fn part(m: &Material, model: &Fit, next: &Fit) -> f64 {
 }
 
 /// As [`part`], of what lasts: means over some time, whose noise is that from one mean to the next. What is slow and small
-/// is nothing beside the noise of single rows.
+/// is nothing beside the noise of single rows. How slow, the command decides: it is looked for over times of all sizes, and must show
+/// over two that follow each other.
 fn slow_part(m: &Material, model: &Fit, next: &Fit, e: Equation) -> f64 {
     if m.fit.rows_of(e) == 0 || e == Equation::Controller {
         return 0.0;
@@ -347,12 +352,13 @@ fn slow_part(m: &Material, model: &Fit, next: &Fit, e: Equation) -> f64 {
     let of = |seconds: f64| {
         let noise = m.fit.unrest(&next.residual, e, seconds);
         let before = m.fit.slow_energy(&model.residual, e, seconds);
-        if before < SLOWLY * noise {
+        if before < SLOW_EXCESS * noise {
             return 0.0;
         }
         (before - m.fit.slow_energy(&next.residual, e, seconds)) / (before - noise)
     };
-    of(SLOW_S).min(of(2.0 * SLOW_S))
+    let all: Vec<f64> = (0..=SLOWEST).map(|k| of(SLOW_S * f64::from(1 << k))).collect();
+    all.windows(2).map(|w| w[0].min(w[1])).fold(0.0, f64::max)
 }
 
 /// Energy of an equation's noise: the sensors' as they are said to be, or what the model leaves from row to row where

@@ -7,11 +7,11 @@ use crate::measured::bench::BenchChannel;
 use crate::search::beside::{self, Beside};
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
-use crate::search::judge::{LEAST_GAIN, OTHERWISE, Step, TWICE, judged};
+use crate::search::judge::{LEAST_GAIN, OTHERWISE, SLOW_EXCESS, SLOWEST, Step, TWICE, judged};
 use crate::search::remainder;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
-use crate::search::verdict::{Verdict, WORTH, conclude};
+use crate::search::verdict::{SLOW_S, Verdict, WORTH, conclude};
 use sim_worker::effect::{Draw, EffectKind, Equation};
 
 /// Most effects that one study adds.
@@ -297,10 +297,16 @@ fn one_cause(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<(Material,
     beside::together(&loose, &fit, first).map(|_| (loose, fit))
 }
 
-/// Whether no equation has more energy on the fit runs than the sensors' noise.
+/// Whether no equation has more energy on the fit runs than the sensors' noise, nor in means over the longest times.
 fn within_noise(m: &Material, model: &Fit) -> bool {
+    let slow = |e: Equation| {
+        let over = |k: i32| m.fit.slow_energy(&model.residual, e, SLOW_S * f64::from(1 << k));
+        over(SLOWEST - 1).min(over(SLOWEST))
+    };
     // of the controller's own equation no floor is known
-    let noise = |e: &Equation| model.score.energy[e.index()] <= m.fit.sensor_energy(e.index());
+    let noise = |e: &Equation| {
+        model.score.energy[e.index()] <= m.fit.sensor_energy(e.index()) && slow(*e) < SLOW_EXCESS
+    };
     m.equations.iter().all(|e| *e != Equation::Controller && noise(e))
 }
 
