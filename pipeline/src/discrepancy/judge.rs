@@ -7,11 +7,13 @@ use ema_study::measured::bench::{Bench, BenchChannel};
 use ema_study::search::beside::Beside;
 use ema_study::search::study::Outcome;
 use ema_study::search::verdict::Verdict;
-use ema_study::told::findings::Findings;
+use ema_study::told::findings::{Findings, Identified};
 use ema_study::told::verify::{self, Verification};
-use ema_study::told::{in_loop, loop_effects, scale, source};
+use ema_study::told::loop_effects::{self, Shown};
+use ema_study::told::{in_loop, scale, sensors, source};
 use sim_worker::effect::EffectKind;
 use sim_worker::parameters::ActuatorParameters;
+use sim_worker::sensor::CurrentSampling;
 
 /// Gap of the simulated motion over that without what was found, from which on it is no model of the actuator (assumed).
 const FURTHER: f64 = 2.0;
@@ -19,6 +21,13 @@ const FURTHER: f64 = 2.0;
 /// Gap of the simulated speed over the noise of its sensor from which on the loop moves otherwise (assumed: with a torque that does
 /// saturate it was 1.0, with a mass behind a spring in its place 3.8).
 const SHAKEN: f64 = 2.0;
+
+/// Gap of the simulated angle from which an actuator goes astray (assumed: with its constants right it was up to 0.03) [rad].
+const ASTRAY_RAD: f64 = 0.05;
+/// Gap of the simulated supply over the noise of its sensor up to which it is as it was measured (assumed).
+const FED: f64 = 1.5;
+/// Constants that voltages tell.
+const TOLD_BY_VOLTAGES: [&str; 3] = ["torque_constant", "resistance", "supply_voltage"];
 
 /// Text of an actuator's file, or why there is none.
 type Made = schemas::error::Result<String>;
@@ -57,7 +66,7 @@ impl Judge<'_> {
     /// Recordings that cannot be read; where it was interrupted.
     pub fn judged(&self, mut bench: Bench, outcome: &mut Outcome, findings: Findings, made: Made) -> Result<Judged> {
         let mut now = self.simulated(&mut bench, outcome, findings, made)?;
-        if outcome.verdict != Verdict::None {
+        if outcome.verdict != Verdict::None && (!scale::told_by_voltages(&bench) || self.astray(&bench, &now)?) {
             let (bench, of) = (bench.clone(), now.child.clone());
             outcome.by_loop = interruptible(self.tell_user, move |_| scale::by_loop(&bench, &of))??.unwrap_or_default();
         }
@@ -69,10 +78,27 @@ impl Judge<'_> {
         if outcome.source.is_some() {
             now = self.again(&mut bench, outcome)?;
         }
+        let mut against = Vec::new();
         let late = self.late_control(&bench, &now, outcome)?;
         let found = match late {
             Some(late) => Some(late),
-            None => self.of_loop(&bench, &now, outcome)?,
+            None => match self.of_loop(&bench, &now, outcome)? {
+                Shown::Nothing => None,
+                // where the equations see something that they have no name for, it is that effect if the loop then moves as it
+                // was measured
+                Shown::Effect(f) => Some(f)
+                    .filter(|f| f.settles || outcome.verdict != Verdict::Unknown)
+                    .map(|f| f.beside),
+                Shown::Stranger(rms) => {
+                    outcome.verdict = Verdict::Unknown;
+                    now.findings = (self.told)(outcome);
+                    against.push(format!(
+                        "the simulated loop moves otherwise than was measured, by {rms:.1} rad/s at the motor, whatever its constants; \
+                         no one effect of the list explains it"
+                    ));
+                    None
+                }
+            },
         };
         if let Some(found) = found {
             if outcome.verdict == Verdict::Unknown {
@@ -82,7 +108,6 @@ impl Judge<'_> {
             outcome.beside.push(found);
             now = self.again(&mut bench, outcome)?;
         }
-        let mut against = Vec::new();
         // what strong currents say of their torque, they say of a mass behind a spring too: the loop moves as was measured, or
         // it is something else
         let saturates = |b: &Beside| b.kind == EffectKind::TorqueSaturation;
@@ -161,23 +186,42 @@ impl Judge<'_> {
     }
 
     /// What only the simulated loop shows to be missing, where the equations show nothing.
-    fn of_loop(&self, bench: &Bench, now: &Stand, outcome: &Outcome) -> Result<Option<Beside>> {
+    fn of_loop(&self, bench: &Bench, now: &Stand, outcome: &Outcome) -> Result<Shown> {
         let nothing_named = outcome.model.terms.is_empty() && outcome.beside.is_empty();
         if !matches!(outcome.verdict, Verdict::None | Verdict::Retune | Verdict::Unknown) || !nothing_named {
-            return Ok(None);
+            return Ok(Shown::Nothing);
         }
         // means of the gap are no more than the gap: where its sensor leaves so little of the speed, none of them is worth a look
         let noise = speed_noise(outcome);
         let moves_alike = |c: &verify::VerifiedChannel| c.child.powi(2) - noise.powi(2) < loop_effects::QUIET.powi(2);
-        if noise > 0.0 && speed(&now.verification).is_some_and(moves_alike) {
-            return Ok(None);
+        let supply = channel(&now.verification, BenchChannel::VDc);
+        let supply_noise = outcome.material.noise.get(&BenchChannel::VDc).map_or(0.0, |n| n.rms);
+        let is_fed_alike = supply.is_none_or(|c| c.child < FED * supply_noise);
+        if noise > 0.0 && is_fed_alike && speed(&now.verification).is_some_and(moves_alike) {
+            return Ok(Shown::Nothing);
+        }
+        let told: Vec<(String, f64)> = if scale::told_by_voltages(bench) && outcome.by_loop.is_empty() {
+            let of = |c: &Identified| (c.name.clone(), 0.25 * (c.hi - c.lo) / c.value.abs().max(1e-300));
+            let by_voltages = |c: &&Identified| TOLD_BY_VOLTAGES.contains(&c.name.as_str());
+            now.findings.retuned.iter().filter(by_voltages).map(of).collect()
+        } else {
+            Vec::new()
+        };
+        let (bench, child) = (bench.clone(), now.child.clone());
+        let look = move |_: &dyn Fn(&str)| loop_effects::scan(&bench, &child, &told);
+        Ok(interruptible(self.tell_user, look)??)
+    }
+
+    /// Whether an actuator goes astray whose constants were told by voltages beside a current that is read at points: its means are
+    /// not known as well then.
+    fn astray(&self, bench: &Bench, now: &Stand) -> Result<bool> {
+        if channel(&now.verification, BenchChannel::Position).is_none_or(|c| c.child < ASTRAY_RAD) {
+            return Ok(false);
         }
         let (bench, child) = (bench.clone(), now.child.clone());
-        let look = move |_: &dyn Fn(&str)| loop_effects::scan(&bench, &child);
-        let found = interruptible(self.tell_user, look)??;
-        // where the equations see something that they have no name for, it is that effect if the loop then moves as it was measured
-        let is_all = |f: &loop_effects::OfMotion| f.settles || outcome.verdict != Verdict::Unknown;
-        Ok(found.filter(is_all).map(|f| f.beside))
+        let look = move |_: &dyn Fn(&str)| sensors::seen(&bench, &child);
+        let seen = interruptible(self.tell_user, look)??;
+        Ok(seen.is_some_and(|s| s.sampling.currents == CurrentSampling::Point))
     }
 }
 
@@ -209,7 +253,11 @@ fn speed_noise(outcome: &Outcome) -> f64 {
 
 /// The gap of the speed.
 fn speed(v: &Verification) -> Option<&verify::VerifiedChannel> {
-    v.channels.iter().find(|c| c.channel == BenchChannel::Velocity.name())
+    channel(v, BenchChannel::Velocity)
+}
+
+fn channel(v: &Verification, of: BenchChannel) -> Option<&verify::VerifiedChannel> {
+    v.channels.iter().find(|c| c.channel == of.name())
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use schemas::error::Result;
 use sim_worker::effect::{Draw, Effect, EffectKind};
 use sim_worker::parameters::ActuatorParameters;
+use std::collections::BTreeMap;
 
 /// Time over which the angle's change is one number [s] (assumed): a count of the angle is small beside it.
 const MEAN_S: f64 = 4e-3;
@@ -19,8 +20,17 @@ const LEAST_SHARE: f64 = 0.6;
 const APART: f64 = 1.5;
 /// How much further constants may be off than they are believed to be (assumed: some were told by noisy equations).
 const LOOSE: f64 = 2.0;
-/// Standard deviations from which an effect is one (assumed).
-const CERTAIN: f64 = 5.0;
+/// How often as far as equations with voltages say that constants may be off, and least of it, one sigma relative (assumed): they
+/// were told without the effect.
+const TOLD: f64 = 3.0;
+const LEAST_TOLD: f64 = 3e-3;
+/// Standard deviations from which an effect that proves itself on held-out runs is one (assumed).
+const CERTAIN: f64 = 4.0;
+/// Gap over [`QUIET`] that no constants explain and no effect, from which something is missing (assumed: without anything missing up to 1.4
+/// was left).
+const STRANGE: f64 = 2.0;
+/// Voltage of the supply that counts as much as [`QUIET`] [V] (assumed).
+const QUIET_SUPPLY_V: f64 = 0.03;
 /// Speed of the gap, rms, up to which nothing is looked for (assumed: without anything missing 0.03 to 0.14 was left) [rad/s].
 pub const QUIET: f64 = 0.2;
 /// Rounds about what was found, longest step of one over the value, and difference by which its slope is taken; kinds that are looked
@@ -31,6 +41,9 @@ const NEARBY: f64 = 0.2;
 const LOOKED_INTO: usize = 4;
 /// Times that gaps are weighted anew.
 const REWEIGHTED: usize = 4;
+
+/// What a volt of the supply counts as [rad/V].
+const SUPPLY: f64 = QUIET * MEAN_S / QUIET_SUPPLY_V;
 
 fn knobs() -> Vec<&'static Knob> {
     KNOBS.iter().chain(&MECHANICS).collect()
@@ -102,7 +115,7 @@ fn candidates(child: &ActuatorParameters) -> Vec<Candidate> {
     all
 }
 
-/// Changes of the angle of a piece of a recording, measured and by model [rad].
+/// Changes of the angle of a piece of a recording [rad], and its supply as [`SUPPLY`] says, measured and by model.
 struct Piece {
     proves: bool,
     /// measured less simulated
@@ -136,17 +149,35 @@ pub struct OfMotion {
     pub settles: bool,
 }
 
-/// What the simulated loop shows to be missing, where one effect takes most of the gap to the measured angle on held-out runs and no
-/// other does.
+/// What a simulated loop says of effects.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shown {
+    /// nothing that constants do not explain, or nothing to look at
+    Nothing,
+    /// something without a name: the speed that constants leave, rms [rad/s]
+    Stranger(f64),
+    Effect(OfMotion),
+}
+
+/// What the simulated loop shows to be missing: an effect, where one takes most of the gap to the measured angle, and supply, on held-out
+/// runs and no other does.
 ///
 /// * `child` the actuator with what was found
+/// * `told` constants that equations of the voltages tell, and their standard deviations, relative
 ///
 /// # Errors
 /// Refuses files that cannot be read.
-pub fn scan(bench: &Bench, child: &ActuatorParameters) -> Result<Option<OfMotion>> {
+pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -> Result<Shown> {
     if !bench.own || !bench.runs.iter().any(|r| r.role == Role::HeldOut) {
-        return Ok(None);
+        return Ok(Shown::Nothing);
     }
+    let believed: Vec<f64> = knobs()
+        .iter()
+        .map(|k| {
+            let of = told.iter().find(|t| t.0 == k.name);
+            of.map_or(LOOSE * k.sd, |t| (TOLD * t.1).clamp(LEAST_TOLD, LOOSE * k.sd))
+        })
+        .collect();
     let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
     let n = knobs().len();
     // as near as constants come
@@ -155,22 +186,24 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters) -> Result<Option<OfMotion
     for _ in 0..ROUNDS {
         let pieces = compared(bench, &all, child, &turned, &[]);
         if pieces.iter().filter(|p| !p.proves).count() < 3 || !pieces.iter().any(|p| p.proves) {
-            return Ok(None);
+            return Ok(Shown::Nothing);
         }
-        let Some(now) = solved(&pieces, &turned, None) else {
-            return Ok(None);
+        let Some(now) = solved(&pieces, &believed, &turned, None) else {
+            return Ok(Shown::Nothing);
         };
         if now.left.sqrt() < QUIET * MEAN_S {
-            return Ok(None);
+            return Ok(Shown::Nothing);
         }
         turned += &now.x;
         constants = Some(now.left);
     }
-    let Some(constants) = constants else { return Ok(None) };
+    let Some(constants) = constants else { return Ok(Shown::Nothing) };
+    let strange = constants.sqrt() > STRANGE * QUIET * MEAN_S;
+    let nameless = if strange { Shown::Stranger(constants.sqrt() / MEAN_S) } else { Shown::Nothing };
     let tried = candidates(child);
     let pieces = compared(bench, &all, child, &turned, &tried);
     let mut ranked: Vec<(usize, Solved)> = (0..tried.len())
-        .filter_map(|c| Some((c, solved(&pieces, &turned, Some(n + c))?)))
+        .filter_map(|c| Some((c, solved(&pieces, &believed, &turned, Some(n + c))?)))
         // what physics does not allow explains nothing
         .filter(|(c, s)| s.x[n] > 0.0 || tried[*c].effect.kind.keys()[0].low < 0.0)
         .collect();
@@ -193,34 +226,36 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters) -> Result<Option<OfMotion
                 sd: first.sd,
                 left: first.left,
             }),
-            _ => followed(bench, &all, child, &turned, candidate, first.x[n]),
+            _ => followed(bench, &all, child, (&believed, &turned), candidate, first.x[n]),
         });
     }
     kinds.sort_by(|a, b| a.left.total_cmp(&b.left));
-    let Some(best) = kinds.first() else { return Ok(None) };
+    let Some(best) = kinds.first() else { return Ok(nameless) };
     let (effect, left) = (&best.candidate.effect, best.left);
     let kind = effect.kind;
     let apart = kinds.get(1).is_none_or(|rival| rival.left > APART * left);
     let takes = left < (1.0 - LEAST_SHARE) * constants;
     if kind == EffectKind::Compliance || !apart || !takes || best.value.abs() < CERTAIN * best.sd {
-        return Ok(None);
+        return Ok(nameless);
     }
     let rms = (constants.sqrt() / MEAN_S, left.sqrt() / MEAN_S);
-    let seen = ("speed of the measured angle against the simulated loop's", "rad/s");
+    let seen = ("speed of the measured angle, and supply, against the simulated loop's", "rad/s");
     let mut beside = found(kind, (best.value, best.sd), seen, rms);
     beside.sensor = effect.sensor;
     beside.draw = effect.draw;
     beside.second = (kind == EffectKind::TurnShort).then_some(effect.values[1]);
     let settles = left.sqrt() < QUIET * MEAN_S;
-    Ok(Some(OfMotion { beside, settles }))
+    Ok(Shown::Effect(OfMotion { beside, settles }))
 }
 
 /// A candidate after some rounds about what it found.
+///
+/// * `believed`, `turned` how far constants may be off, and where they are
 fn followed<'a>(
     bench: &Bench,
     all: &[OfRuns<'_>],
     child: &ActuatorParameters,
-    turned: &DVector<f64>,
+    (believed, turned): (&[f64], &DVector<f64>),
     candidate: &'a Candidate,
     first: f64,
 ) -> Option<Followed<'a>> {
@@ -236,7 +271,7 @@ fn followed<'a>(
             effect: candidate.with(value + more),
             size: more,
         }];
-        let now = solved(&compared(bench, all, &with, &turned, &moved), &turned, Some(n))?;
+        let now = solved(&compared(bench, all, &with, &turned, &moved), believed, &turned, Some(n))?;
         turned += now.x.rows(0, n);
         // a long step goes by slopes that no longer hold
         let step = now.x[n].clamp(-LONGEST * value.abs(), LONGEST * value.abs());
@@ -280,19 +315,31 @@ fn compared(
             .flat_map(|some| verify::driven::<AT_ONCE>(bench, recorded, some))
             .collect();
         let angle = BenchChannel::Position;
-        let measured = &recorded.measured[&angle];
+        let has_supply = recorded.measured.contains_key(&BenchChannel::VDc);
         let step = ((MEAN_S / (recorded.time_s[1] - recorded.time_s[0])).round() as usize).max(1);
         for run in runs {
             for part in recorded.parts(&recorded.samples_of(run), PIECE_S) {
                 let of = |x: &[f64]| -> Vec<f64> { part.iter().step_by(step).map(|&k| x[k]).collect() };
                 let changes = |x: &[f64]| -> Vec<f64> { of(x).windows(2).map(|w| w[1] - w[0]).collect() };
-                let base = changes(&simulated[0][&angle]);
+                let means = |x: &[f64]| -> Vec<f64> {
+                    let mean = |p: &[usize]| p.iter().map(|&k| x[k]).sum::<f64>() / p.len() as f64;
+                    part.chunks_exact(step).map(|p| SUPPLY * mean(p)).collect()
+                };
+                // changes of the angle, and the supply where it is recorded
+                let seen = |of: &BTreeMap<BenchChannel, Vec<f64>>| -> Vec<f64> {
+                    let mut out = changes(&of[&angle]);
+                    if let (Some(x), true) = (of.get(&BenchChannel::VDc), has_supply) {
+                        out.extend(means(x));
+                    }
+                    out
+                };
+                let base = seen(&simulated[0]);
                 let less = |y: Vec<f64>, over: f64| y.iter().zip(&base).map(|(y, b)| (y - b) / over).collect();
                 out.push(Piece {
                     proves: run.role == Role::HeldOut,
-                    gap: less(changes(measured), 1.0),
+                    gap: less(seen(&recorded.measured), 1.0),
                     slopes: (1..models.len())
-                        .map(|m| less(changes(&simulated[m][&angle]), over[m]))
+                        .map(|m| less(seen(&simulated[m]), over[m]))
                         .collect(),
                 });
             }
@@ -303,10 +350,9 @@ fn compared(
 
 /// Constants, and one candidate if any, that fit the pieces that find.
 ///
-/// * `turned` where the constants are: they are believed to be near 0
+/// * `believed` how far constants may be off 0, one sigma; `turned` where they are
 /// * `with` place of the candidate's slopes
-fn solved(pieces: &[Piece], turned: &DVector<f64>, with: Option<usize>) -> Option<Solved> {
-    let believed = knobs();
+fn solved(pieces: &[Piece], believed: &[f64], turned: &DVector<f64>, with: Option<usize>) -> Option<Solved> {
     let columns: Vec<usize> = (0..believed.len()).chain(with).collect();
     let finds: Vec<&Piece> = pieces.iter().filter(|p| !p.proves).collect();
     let m = columns.len();
@@ -339,8 +385,8 @@ fn solved(pieces: &[Piece], turned: &DVector<f64>, with: Option<usize>) -> Optio
         let kept = || sums.iter().enumerate().filter(|(k, _)| Some(*k) != out);
         let mut gram: DMatrix<f64> = kept().map(|s| &s.1.0).sum();
         let mut right: DVector<f64> = kept().map(|s| &s.1.1).sum();
-        for (i, k) in believed.iter().enumerate() {
-            let belief = (LOOSE * k.sd).powi(-2);
+        for (i, sd) in believed.iter().enumerate() {
+            let belief = sd.powi(-2);
             gram[(i, i)] += belief;
             right[i] -= turned[i] * belief;
         }

@@ -32,14 +32,19 @@ struct Piece {
     alike: f64,
 }
 
-/// Constants by the simulated loop, each over that of `child`. `None` where voltages are recorded, whose equation tells them
-/// better, or where the loop does not come nearer to what was measured on runs that prove.
+/// Whether the equations of recorded voltages tell a bench's constants.
+pub fn told_by_voltages(bench: &Bench) -> bool {
+    BenchChannel::VOLTAGES.iter().all(|c| bench.channel(*c).is_some())
+}
+
+/// Constants by the simulated loop, each over that of `child`. `None` where the loop does not come nearer to what was measured on
+/// runs that prove.
 ///
 /// # Errors
 /// Refuses files that cannot be read.
 pub fn by_loop(bench: &Bench, child: &ActuatorParameters) -> Result<Option<Vec<OfLoop>>> {
     let has = |c: &BenchChannel| bench.channel(*c).is_some();
-    if !bench.own || BenchChannel::VOLTAGES.iter().all(has) {
+    if !bench.own {
         return Ok(None);
     }
     // a measured supply is known already
