@@ -676,7 +676,11 @@ mod tests {
         for counts in [16384.0, 65536.0] {
             let x = angle(counts);
             let found = grain(std::iter::once(&x[..]));
-            assert!((found * counts / TAU - 1.0).abs() < 1e-3, "{counts}: {}", found * counts / TAU);
+            assert!(
+                (found * counts / TAU - 1.0).abs() < 1e-3,
+                "{counts}: {}",
+                found * counts / TAU
+            );
         }
         let smooth: Vec<f64> = (0..8000).map(|k| (1e-3 * f64::from(k)).sin()).collect();
         assert_eq!(grain(std::iter::once(&smooth[..])), 0.0);
@@ -701,7 +705,11 @@ mod tests {
         for counts in [16384.0, 65536.0] {
             let found = noise(&spec, &[run(angle(counts))]);
             let of_count = TAU / counts / 12f64.sqrt();
-            assert!((found.rms / of_count - 1.0).abs() < 1e-3, "{counts}: {} {of_count}", found.rms);
+            assert!(
+                (found.rms / of_count - 1.0).abs() < 1e-3,
+                "{counts}: {} {of_count}",
+                found.rms
+            );
         }
     }
 }

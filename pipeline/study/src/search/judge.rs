@@ -24,6 +24,8 @@ const LEAST_PART: f64 = 0.30;
 /// there is something to be explained (assumed).
 pub(super) const SLOWEST: i32 = 4;
 pub(super) const SLOW_EXCESS: f64 = 1.5;
+/// Least share of it over longer times than the shortest (assumed).
+const SLOWER_PART: f64 = 0.8;
 /// Smallest share of the transmission's excess that a spring in it must explain (assumed).
 const LEAST_BENT: f64 = 0.5;
 /// Gap of the transmission over its noise from which a load is not where it is thought to be (assumed).
@@ -358,7 +360,10 @@ fn slow_part(m: &Material, model: &Fit, next: &Fit, e: Equation) -> f64 {
         (before - m.fit.slow_energy(&next.residual, e, seconds)) / (before - noise)
     };
     let all: Vec<f64> = (0..=SLOWEST).map(|k| of(SLOW_S * f64::from(1 << k))).collect();
-    all.windows(2).map(|w| w[0].min(w[1])).fold(0.0, f64::max)
+    let shares: Vec<f64> = all.windows(2).map(|w| w[0].min(w[1])).collect();
+    // over long times many things look alike: only what explains nearly all of it is it
+    let slower = shares[1..].iter().copied().filter(|s| *s > SLOWER_PART);
+    slower.fold(shares[0], f64::max)
 }
 
 /// Energy of an equation's noise: the sensors' as they are said to be, or what the model leaves from row to row where

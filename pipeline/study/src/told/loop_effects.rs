@@ -197,9 +197,15 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
         turned += &now.x;
         constants = Some(now.left);
     }
-    let Some(constants) = constants else { return Ok(Shown::Nothing) };
+    let Some(constants) = constants else {
+        return Ok(Shown::Nothing);
+    };
     let strange = constants.sqrt() > STRANGE * QUIET * MEAN_S;
-    let nameless = if strange { Shown::Stranger(constants.sqrt() / MEAN_S) } else { Shown::Nothing };
+    let nameless = if strange {
+        Shown::Stranger(constants.sqrt() / MEAN_S)
+    } else {
+        Shown::Nothing
+    };
     let tried = candidates(child);
     let pieces = compared(bench, &all, child, &turned, &tried);
     let mut ranked: Vec<(usize, Solved)> = (0..tried.len())
@@ -235,11 +241,17 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
     let kind = effect.kind;
     let apart = kinds.get(1).is_none_or(|rival| rival.left > APART * left);
     let takes = left < (1.0 - LEAST_SHARE) * constants;
-    if kind == EffectKind::Compliance || !apart || !takes || best.value.abs() < CERTAIN * best.sd {
+    // what leaves more than would be strange by itself is the nearest relative of something else
+    let rests = left.sqrt() < 2.0 * STRANGE * QUIET * MEAN_S;
+    let is_certain = best.value.abs() > CERTAIN * best.sd;
+    if kind == EffectKind::Compliance || !(apart && takes && rests && is_certain) {
         return Ok(nameless);
     }
     let rms = (constants.sqrt() / MEAN_S, left.sqrt() / MEAN_S);
-    let seen = ("speed of the measured angle, and supply, against the simulated loop's", "rad/s");
+    let seen = (
+        "speed of the measured angle, and supply, against the simulated loop's",
+        "rad/s",
+    );
     let mut beside = found(kind, (best.value, best.sd), seen, rms);
     beside.sensor = effect.sensor;
     beside.draw = effect.draw;
@@ -271,7 +283,12 @@ fn followed<'a>(
             effect: candidate.with(value + more),
             size: more,
         }];
-        let now = solved(&compared(bench, all, &with, &turned, &moved), believed, &turned, Some(n))?;
+        let now = solved(
+            &compared(bench, all, &with, &turned, &moved),
+            believed,
+            &turned,
+            Some(n),
+        )?;
         turned += now.x.rows(0, n);
         // a long step goes by slopes that no longer hold
         let step = now.x[n].clamp(-LONGEST * value.abs(), LONGEST * value.abs());
@@ -338,9 +355,7 @@ fn compared(
                 out.push(Piece {
                     proves: run.role == Role::HeldOut,
                     gap: less(seen(&recorded.measured), 1.0),
-                    slopes: (1..models.len())
-                        .map(|m| less(seen(&simulated[m]), over[m]))
-                        .collect(),
+                    slopes: (1..models.len()).map(|m| less(seen(&simulated[m]), over[m])).collect(),
                 });
             }
         }
