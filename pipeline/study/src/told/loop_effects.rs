@@ -17,6 +17,7 @@ const MEAN_S: f64 = 4e-3;
 /// Share of the squared gap on held-out runs, constants re-tuned, that an effect must take, and how much more of it the next best
 /// must leave (assumed).
 const LEAST_SHARE: f64 = 0.6;
+const NEARLY_ALL: f64 = 0.9;
 const APART: f64 = 1.5;
 /// How much further constants may be off than they are believed to be (assumed: some were told by noisy equations).
 const LOOSE: f64 = 2.0;
@@ -36,6 +37,9 @@ pub const QUIET: f64 = 0.2;
 /// Rounds about what was found, longest step of one over the value, and difference by which its slope is taken; kinds that are looked
 /// into.
 const ROUNDS: usize = 2;
+/// Rounds until constants are as near as they come, and times that the best is followed on while it is not at rest.
+const UNTIL_CONSTANT: usize = 5;
+const FOLLOWED_ON: usize = 3;
 const LONGEST: f64 = 0.6;
 const NEARBY: f64 = 0.2;
 const LOOKED_INTO: usize = 4;
@@ -183,7 +187,7 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
     // as near as constants come
     let mut turned = DVector::zeros(n);
     let mut constants = None;
-    for _ in 0..ROUNDS {
+    for _ in 0..UNTIL_CONSTANT {
         let pieces = compared(bench, &all, child, &turned, &[]);
         if pieces.iter().filter(|p| !p.proves).count() < 3 || !pieces.iter().any(|p| p.proves) {
             return Ok(Shown::Nothing);
@@ -236,15 +240,28 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
         });
     }
     kinds.sort_by(|a, b| a.left.total_cmp(&b.left));
-    let Some(best) = kinds.first() else { return Ok(nameless) };
+    let mut kinds = kinds.into_iter();
+    let Some(mut best) = kinds.next() else {
+        return Ok(nameless);
+    };
+    // what leaves more than would be strange by itself, and not nearly nothing of a great gap, is the nearest relative of something else
+    let rests = |left: f64| left.sqrt() < 2.0 * STRANGE * QUIET * MEAN_S || left < (1.0 - NEARLY_ALL) * constants;
+    for _ in 0..FOLLOWED_ON {
+        if rests(best.left) || best.candidate.effect.kind == EffectKind::Compliance {
+            break;
+        }
+        let further = followed(bench, &all, child, (&believed, &turned), best.candidate, best.value);
+        let Some(further) = further.filter(|f| f.left < best.left) else {
+            break;
+        };
+        best = further;
+    }
     let (effect, left) = (&best.candidate.effect, best.left);
     let kind = effect.kind;
-    let apart = kinds.get(1).is_none_or(|rival| rival.left > APART * left);
+    let apart = kinds.next().is_none_or(|rival| rival.left > APART * left);
     let takes = left < (1.0 - LEAST_SHARE) * constants;
-    // what leaves more than would be strange by itself is the nearest relative of something else
-    let rests = left.sqrt() < 2.0 * STRANGE * QUIET * MEAN_S;
     let is_certain = best.value.abs() > CERTAIN * best.sd;
-    if kind == EffectKind::Compliance || !(apart && takes && rests && is_certain) {
+    if kind == EffectKind::Compliance || !(apart && takes && rests(left) && is_certain) {
         return Ok(nameless);
     }
     let rms = (constants.sqrt() / MEAN_S, left.sqrt() / MEAN_S);
