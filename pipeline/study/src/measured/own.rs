@@ -211,7 +211,7 @@ fn channels(table: &Table, mapped: &Mapped) -> Result<String> {
 /// Whether phase currents and angle are those of these sensors.
 fn is_seen(t: &Table, sensors: &SensorModel) -> bool {
     match (t.numbers("theta_m"), t.numbers("i_a")) {
-        (Ok(angle), Ok(current)) => are_by(&angle, &current, sensors),
+        (Ok(angle), Ok(current)) => are_by(angle, current, sensors),
         _ => false,
     }
 }
