@@ -83,12 +83,10 @@ impl Judge<'_> {
         let found = match late {
             Some(late) => Some(late),
             None => match self.of_loop(&bench, &now, outcome)? {
-                Shown::Nothing => None,
                 // where the equations see something that they have no name for, it is that effect if the loop then moves as it
                 // was measured
-                Shown::Effect(f) => Some(f)
-                    .filter(|f| f.settles || outcome.verdict != Verdict::Unknown)
-                    .map(|f| f.beside),
+                Shown::Effect(f) if f.settles || outcome.verdict != Verdict::Unknown => Some(f.beside),
+                Shown::Effect(_) | Shown::Nothing => None,
                 Shown::Stranger(rms) => {
                     outcome.verdict = Verdict::Unknown;
                     now.findings = (self.told)(outcome);
@@ -195,8 +193,7 @@ impl Judge<'_> {
         let noise = speed_noise(outcome);
         let moves_alike = |c: &verify::VerifiedChannel| c.child.powi(2) - noise.powi(2) < loop_effects::QUIET.powi(2);
         let supply = channel(&now.verification, BenchChannel::VDc);
-        let supply_noise = outcome.material.noise.get(&BenchChannel::VDc).map_or(0.0, |n| n.rms);
-        let is_fed_alike = supply.is_none_or(|c| c.child < FED * supply_noise);
+        let is_fed_alike = supply.is_none_or(|c| c.child < FED * noise_of(outcome, BenchChannel::VDc));
         if noise > 0.0 && is_fed_alike && speed(&now.verification).is_some_and(moves_alike) {
             return Ok(Shown::Nothing);
         }
@@ -247,8 +244,12 @@ fn is_shaken(v: &Verification, outcome: &Outcome) -> bool {
 
 /// Of the speed's own sensor, rms [rad/s]; 0 where there is none.
 fn speed_noise(outcome: &Outcome) -> f64 {
-    let noise = outcome.material.noise.get(&BenchChannel::Velocity);
-    noise.map_or(0.0, |n| n.rms)
+    noise_of(outcome, BenchChannel::Velocity)
+}
+
+/// Of a channel's sensor, rms, SI; 0 where there is none.
+fn noise_of(outcome: &Outcome, of: BenchChannel) -> f64 {
+    outcome.material.noise.get(&of).map_or(0.0, |n| n.rms)
 }
 
 /// The gap of the speed.

@@ -6,7 +6,8 @@ use crate::equations::pieces::true_angle;
 use crate::equations::samples::shifted;
 use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
 use crate::measured::filter::FilterBank;
-use crate::measured::recording::{self, ChannelNoise, Run};
+use crate::measured::noise::{self, ChannelNoise};
+use crate::measured::recording::{self, Run};
 use sim_worker::effect::Play;
 use std::collections::BTreeMap;
 
@@ -549,14 +550,14 @@ pub fn swing(bench: &Bench, runs: &[Run]) -> f64 {
         return 0.0;
     }
     let moving = runs.iter().filter(|r| !r.steady);
-    let usual = recording::roughness(moving.filter_map(|r| r.channel(c))).unwrap_or(0.0);
+    let usual = noise::roughness(moving.filter_map(|r| r.channel(c))).unwrap_or(0.0);
     bench.rig.drive_constant.value.abs() * usual
 }
 
 /// The noise of every channel of a bench.
 pub fn noise_table(bench: &Bench, runs: &[Run]) -> NoiseTable {
     let specs = bench.channels.iter().filter(|c| c.channel != BenchChannel::Time);
-    specs.map(|c| (c.channel, recording::noise(c, runs))).collect()
+    specs.map(|c| (c.channel, noise::noise(c, runs))).collect()
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@ pub mod check;
 pub mod filter;
 pub mod filtered;
 pub mod jumps;
+pub mod noise;
 mod one_constant;
 pub mod own;
 pub mod recording;

@@ -1,7 +1,8 @@
 //! Recordings of the project's own telemetry as benches: which column is which channel, which piece finds and which proves.
 
 use crate::measured::bench::BenchChannel;
-use crate::measured::recording::{self, extent};
+use crate::measured::noise;
+use crate::measured::recording::extent;
 use ema_tables::{ChannelMap, Table};
 use schemas::error::{Error, Result};
 use schemas::toml_section::{self, Section};
@@ -219,11 +220,11 @@ fn is_seen(t: &Table, sensors: &SensorModel) -> bool {
 /// Whether an angle and a current stand on the grids of these sensors, not on coarser ones, and the current is no rougher than
 /// means by them: points of a current that a bridge makes are.
 fn are_by(angle: &[f64], current: &[f64], sensors: &SensorModel) -> bool {
-    let is = |x: &[f64], count: f64| (recording::grain(std::iter::once(x)) / count - 1.0).abs() < SAME_GRAIN;
-    let noise = sensors.current_noise_a.hypot(sensors.current_count_a() / 12f64.sqrt());
+    let is = |x: &[f64], count: f64| (noise::grain(std::iter::once(x)) / count - 1.0).abs() < SAME_GRAIN;
+    let of_sensor = sensors.current_noise_a.hypot(sensors.current_count_a() / 12f64.sqrt());
     is(angle, sensors.resolver_count_rad())
         && is(current, sensors.current_count_a())
-        && recording::roughness(std::iter::once(current)).is_some_and(|r| r < ROUGH * noise)
+        && noise::roughness(std::iter::once(current)).is_some_and(|r| r < ROUGH * of_sensor)
 }
 
 /// Whether the user's angle is the motor's over one ratio, to its last digits.
@@ -275,8 +276,8 @@ mod tests {
         };
         let mut current = |chatter: f64| -> Vec<f64> {
             let count = sensors.current_count_a();
-            let noise = sensors.current_noise_a * 3f64.sqrt();
-            let mut at = |k: usize| 2.0 * (2e-3 * k as f64).sin() + even(noise) + even(chatter);
+            let of_sensor = sensors.current_noise_a * 3f64.sqrt();
+            let mut at = |k: usize| 2.0 * (2e-3 * k as f64).sin() + even(of_sensor) + even(chatter);
             (0..6000).map(|k| (at(k) / count).round() * count).collect()
         };
         let (means, points) = (current(0.0), current(0.1));

@@ -2,7 +2,7 @@
 //! unit are seen by the same sensors, and maps must know them.
 
 use crate::measured::bench::{Bench, BenchChannel, Role};
-use crate::measured::recording;
+use crate::measured::noise as channel_noise;
 use crate::told::verify::{self, Recorded, Simulated};
 use schemas::error::Result;
 use sim_worker::catalogue;
@@ -53,8 +53,8 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters) -> Result<Option<SensorMo
         out
     };
     let reference = catalogue::sensors("reference")?;
-    let angle = recording::grain(signals(&[BenchChannel::Position]).into_iter());
-    let count = recording::grain(signals(&BenchChannel::CURRENTS).into_iter());
+    let angle = channel_noise::grain(signals(&[BenchChannel::Position]).into_iter());
+    let count = channel_noise::grain(signals(&BenchChannel::CURRENTS).into_iter());
     let by_means = rough(&recorded, &means, &BenchChannel::CURRENTS);
     let by_points = rough(&recorded, &points, &BenchChannel::CURRENTS);
     let currents = sampling(&by_means, &by_points, count);
@@ -96,7 +96,7 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters) -> Result<Option<SensorMo
 /// Squares of the roughness of blocks, measured and simulated; first those about which the simulation is smooth.
 fn rough(recorded: &[&Recorded], simulated: &[Simulated], channels: &[BenchChannel]) -> Vec<(f64, f64)> {
     let square = |x: &[f64]| {
-        let all = recording::fourth_differences(x).map(|d| d.powi(2));
+        let all = channel_noise::fourth_differences(x).map(|d| d.powi(2));
         all.sum::<f64>() / (70.0 * (x.len() - 4) as f64)
     };
     let mut out = Vec::new();
