@@ -65,6 +65,7 @@ impl Judge<'_> {
     /// # Errors
     /// Recordings that cannot be read; where it was interrupted.
     pub fn judged(&self, mut bench: Bench, outcome: &mut Outcome, findings: Findings, made: Made) -> Result<Judged> {
+        bench.made_of_angle = outcome.material.bench.made_of_angle;
         let mut now = self.simulated(&mut bench, outcome, findings, made)?;
         if outcome.verdict != Verdict::None && (!scale::told_by_voltages(&bench) || self.astray(&bench, &now)?) {
             let (bench, of) = (bench.clone(), now.child.clone());
@@ -126,7 +127,6 @@ impl Judge<'_> {
             now.findings = (self.told)(outcome);
             against.push(text);
         }
-        bench.made_of_angle = outcome.material.bench.made_of_angle;
         let mut findings = now.findings;
         findings.assumptions.extend(against);
         // what was named was seen, and a delay shows in a simulated loop
@@ -190,7 +190,9 @@ impl Judge<'_> {
             return Ok(Shown::Nothing);
         }
         // means of the gap are no more than the gap: where its sensor leaves so little of the speed, none of them is worth a look
-        let noise = speed_noise(outcome);
+        let noise = bench
+            .made_of_angle
+            .map_or_else(|| speed_noise(outcome), |m| m.left_rad_per_s);
         let moves_alike = |c: &verify::VerifiedChannel| c.child.powi(2) - noise.powi(2) < loop_effects::QUIET.powi(2);
         let supply = channel(&now.verification, BenchChannel::VDc);
         let is_fed_alike = supply.is_none_or(|c| c.child < FED * noise_of(outcome, BenchChannel::VDc));

@@ -10,6 +10,8 @@ const MEAN_S: f64 = 2e-3;
 const FROM_S: f64 = 5e-5;
 const TO_S: f64 = 6e-3;
 const TRIED: usize = 28;
+/// What is not compared at the beginning of a run [s]: a low pass knows nothing yet of what was before.
+const SETTLED_S: f64 = 3.0 * TO_S;
 /// Rate at which low passes are reckoned at least [Hz].
 const STEPS_HZ: f64 = 2e4;
 /// Share of what the best delay leaves, rms, below which a low pass must leave it (assumed: of twelve benches of another hand the seven
@@ -24,6 +26,42 @@ pub struct LowPass {
     pub order: usize,
     /// corner of each [Hz]
     pub corner_hz: f64,
+    /// what it leaves of the recorded speed, rms [rad/s]
+    pub left_rad_per_s: f64,
+}
+
+impl LowPass {
+    /// The speed that it makes of an angle, sample by sample [rad/s].
+    pub fn speed_of(&self, angle_rad: &[f64], rate_hz: f64) -> Vec<f64> {
+        let slope = slope(angle_rad, rate_hz);
+        if slope.is_empty() {
+            return vec![0.0; angle_rad.len()];
+        }
+        let tau = 1.0 / (std::f64::consts::TAU * self.corner_hz);
+        let mut out = passed(&slope, rate_hz, tau, self.order);
+        // of the first sample nothing is known but its neighbour
+        out.insert(0, slope[0]);
+        out
+    }
+}
+
+fn slope(angle: &[f64], rate_hz: f64) -> Vec<f64> {
+    angle.windows(2).map(|w| (w[1] - w[0]) * rate_hz).collect()
+}
+
+/// A slope through low passes, at each sample's end.
+fn passed(slope: &[f64], rate_hz: f64, tau: f64, order: usize) -> Vec<f64> {
+    let steps = (STEPS_HZ / rate_hz).ceil().max(1.0);
+    let share = 1.0 - (-1.0 / (rate_hz * steps * tau.max(1e-9))).exp();
+    let mut state = [slope[0]; 2];
+    let through = |x: &f64| {
+        for _ in 0..steps as usize {
+            state[0] += share * (x - state[0]);
+            state[1] += share * (state[0] - state[1]);
+        }
+        state[order - 1]
+    };
+    slope.iter().map(through).collect()
 }
 
 /// Takes a speed that is made of the angle out of the bench and its runs.
@@ -40,14 +78,17 @@ pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
 fn made_of_angle(runs: &[Run]) -> Option<LowPass> {
     let both = |r: &Run| -> Option<Pair> {
         let x = r.channel(BenchChannel::Position)?;
-        let slope = x.windows(2).map(|w| (w[1] - w[0]) * r.rate_hz).collect();
         Some(Pair {
             rate_hz: r.rate_hz,
-            slope,
+            slope: slope(x, r.rate_hz),
             speed: r.channel(BenchChannel::Velocity)?[1..].to_vec(),
         })
     };
-    let pairs: Option<Vec<Pair>> = runs.iter().filter(|r| !r.steady && r.samples > 8).map(both).collect();
+    let pairs: Option<Vec<Pair>> = runs
+        .iter()
+        .filter(|r| !r.steady && r.duration_s() > 4.0 * SETTLED_S)
+        .map(both)
+        .collect();
     let pairs = pairs.filter(|p| !p.is_empty())?;
     let left = |of: &dyn Fn(&Pair) -> Vec<f64>| pairs.iter().map(|p| p.left(&of(p))).sum::<f64>();
     let (_, delayed) = least(&|t| left(&|p| p.delayed(t)));
@@ -57,9 +98,16 @@ fn made_of_angle(runs: &[Run]) -> Option<LowPass> {
     });
     let (order, tau, rest) = passes.into_iter().min_by(|a, b| a.2.total_cmp(&b.2))?;
     let is_made = rest < SHARE * SHARE * delayed && order as f64 * tau > LEAST_LAG_S;
+    let gaps = pairs.iter().flat_map(|p| {
+        let from = p.settled();
+        let made = p.passed(tau, order);
+        (from..p.speed.len()).map(move |k| p.speed[k] - made[k])
+    });
+    let (squares, samples) = gaps.fold((0.0, 0), |(e, n), gap| (e + gap * gap, n + 1));
     is_made.then(|| LowPass {
         order,
         corner_hz: 1.0 / (std::f64::consts::TAU * tau),
+        left_rad_per_s: (squares / f64::from(samples.max(1))).sqrt(),
     })
 }
 
@@ -94,24 +142,20 @@ impl Pair {
 
     /// The slope through low passes, at each sample's end.
     fn passed(&self, tau: f64, order: usize) -> Vec<f64> {
-        let steps = (STEPS_HZ / self.rate_hz).ceil().max(1.0);
-        let share = 1.0 - (-1.0 / (self.rate_hz * steps * tau.max(1e-9))).exp();
-        let mut state = [self.slope[0]; 2];
-        let through = |x: &f64| {
-            for _ in 0..steps as usize {
-                state[0] += share * (x - state[0]);
-                state[1] += share * (state[0] - state[1]);
-            }
-            state[order - 1]
-        };
-        self.slope.iter().map(through).collect()
+        passed(&self.slope, self.rate_hz, tau, order)
+    }
+
+    /// The first sample that is compared.
+    fn settled(&self) -> usize {
+        (SETTLED_S * self.rate_hz) as usize
     }
 
     /// Squares of the means of what is left of the speed.
     fn left(&self, of: &[f64]) -> f64 {
         let m = ((MEAN_S * self.rate_hz) as usize).max(3);
+        let settled = self.settled().div_ceil(m);
         let mean = |k: usize| (k..k + m).map(|k| self.speed[k] - of[k]).sum::<f64>() / m as f64;
-        (0..self.speed.len() / m).map(|k| mean(k * m).powi(2)).sum()
+        (settled..self.speed.len() / m).map(|k| mean(k * m).powi(2)).sum()
     }
 }
 
@@ -156,16 +200,26 @@ mod tests {
     }
 
     #[test]
+    fn prop_a_low_pass_that_began_before_the_run_is_told_from_a_delay() {
+        let tau = 1.0 / (std::f64::consts::TAU * 210.0);
+        let p = jumps(2000.0, |w| passed(w, 2e4, tau, 2));
+        let piece = |from: usize| Pair {
+            rate_hz: p.rate_hz,
+            slope: p.slope[from..from + 200].to_vec(),
+            speed: p.speed[from..from + 200].to_vec(),
+        };
+        let pieces: Vec<Pair> = (0..19).map(|k| piece(200 * k)).collect();
+        let rest = |of: &dyn Fn(&Pair, f64) -> Vec<f64>| least(&|t| pieces.iter().map(|p| p.left(&of(p, t))).sum()).1;
+        let [delay, two] = [rest(&|p, t| p.delayed(t)), rest(&|p, t| p.passed(t, 2))];
+        assert!(two < 0.5 * SHARE * SHARE * delay, "{delay} {two}");
+    }
+
+    #[test]
     fn prop_a_low_pass_is_told_from_a_delay() {
         for rate_hz in [1000.0, 2000.0, 10_000.0] {
             for order in [1, 2] {
                 let p = jumps(rate_hz, |w| {
-                    let of = Pair {
-                        rate_hz: 2e4,
-                        slope: w.to_vec(),
-                        speed: Vec::new(),
-                    };
-                    of.passed(1.0 / (std::f64::consts::TAU * 150.0), order)
+                    passed(w, 2e4, 1.0 / (std::f64::consts::TAU * 150.0), order)
                 });
                 let [delay, one, two] = rests(&p);
                 let (right, wrong) = if order == 1 { (one, two) } else { (two, one) };

@@ -8,12 +8,12 @@ use crate::search::excitation;
 use crate::search::fit::{self, Fit};
 use crate::search::intervals::{self, Intervals};
 use crate::search::select::Material;
-use crate::search::study::Outcome;
+use crate::search::study::{OfLoop, Outcome};
 use crate::search::verdict::{Verdict, shares};
 use crate::told::findings::*;
 use crate::told::places;
 use crate::told::words::{assumptions, facts, missing, sentence, told, unnamed};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use sim_worker::effect::{EffectKind, Equation, NORMAL_95, Reads};
 
 /// The channel that an equation predicts.
@@ -135,18 +135,15 @@ fn looped(o: &Outcome, mut all: Vec<Identified>, correlation: Vec<f64>) -> (Vec<
     let sd = |c: &Identified| (0.5 * (c.hi - c.lo) / NORMAL_95 / c.value.abs().max(1e-300)).max(1e-12);
     let sds: Vec<f64> = all.iter().map(sd).collect();
     let mut of = DMatrix::from_fn(n, n, |a, b| correlation[a * n + b] * sds[a] * sds[b]);
-    let mut alone = Vec::new();
-    for l in &o.by_loop {
-        let Some(k) = all.iter().position(|c| c.name == l.name) else {
-            alone.push(l);
-            continue;
-        };
-        let by = of.column(k) / of[(k, k)];
-        for (c, by) in all.iter_mut().zip(by.iter()) {
-            c.value *= (by * l.factor.ln()).exp();
-        }
-        let known = l.sd.powi(2).min(of[(k, k)]);
-        of -= &by * by.transpose() * (of[(k, k)] - known);
+    let place = |l: &OfLoop| all.iter().position(|c| c.name == l.name);
+    let (among, alone): (Vec<&OfLoop>, Vec<&OfLoop>) = o.by_loop.iter().partition(|l| place(l).is_some());
+    let among: Vec<(usize, f64, f64)> = among
+        .iter()
+        .filter_map(|l| Some((place(l)?, l.factor.ln(), l.sd)))
+        .collect();
+    let moved = measured_too(&mut of, &among);
+    for (c, by) in all.iter_mut().zip(moved.iter()) {
+        c.value *= by.exp();
     }
     for (k, c) in all.iter_mut().enumerate() {
         let half = NORMAL_95 * of[(k, k)].max(0.0).sqrt() * c.value.abs();
@@ -178,6 +175,23 @@ fn looped(o: &Outcome, mut all: Vec<Identified>, correlation: Vec<f64>) -> (Vec<
     };
     let correlation = (0..m * m).map(|k| told(k / m, k % m)).collect();
     (all, correlation)
+}
+
+/// How far logarithms of constants move where some of them are measured once more.
+///
+/// * `of` their covariance, that of the equations before, with the measurements after
+/// * `measured` place, how far it is measured to be from what the equations say, standard deviation
+fn measured_too(of: &mut DMatrix<f64>, measured: &[(usize, f64, f64)]) -> DVector<f64> {
+    let mut moved = DVector::zeros(of.nrows());
+    for &(k, off, sd) in measured {
+        let by = of.column(k) / of[(k, k)];
+        let known = sd.powi(2).min(of[(k, k)]);
+        // by what is left of it after those before
+        let left = off - moved[k];
+        moved += &by * left;
+        *of -= &by * by.transpose() * (of[(k, k)] - known);
+    }
+    moved
 }
 
 /// Correlations of the constants that are told.
@@ -450,4 +464,24 @@ fn leaders(o: &Outcome) -> Vec<Leader> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prop_what_is_measured_too_comes_out_as_it_was_measured() {
+        // the first two go together, the third hangs on the first
+        let covariance = [[4.0, 3.6, 2.0], [3.6, 4.0, 1.8], [2.0, 1.8, 2.0]];
+        let mut of = DMatrix::from_fn(3, 3, |a, b| 1e-4 * covariance[a][b]);
+        let moved = measured_too(&mut of, &[(0, 0.05, 1e-5), (1, -0.04, 1e-5)]);
+        assert!(
+            (moved[0] - 0.05).abs() < 1e-4 && (moved[1] + 0.04).abs() < 1e-9,
+            "{moved}"
+        );
+        assert!((moved[2] - 0.025).abs() < 1e-3, "{moved}");
+        assert!(of[(0, 0)].sqrt() < 2e-5 && of[(1, 1)].sqrt() < 2e-5, "{of}");
+        assert!(of[(2, 2)] < 1.05e-4 && of[(2, 2)] > 0.9e-4, "{of}");
+    }
 }

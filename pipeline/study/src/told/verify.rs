@@ -2,6 +2,7 @@
 //! parameters as they were (parent) and with what a study found (child), beside what was measured.
 
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role, RunSpec};
+use crate::measured::filtered::LowPass;
 use crate::measured::jumps::Jumps;
 use crate::measured::own::with_q_current;
 use crate::measured::rows::{in_si, split};
@@ -173,8 +174,8 @@ pub fn verify(bench: &Bench, parent: &ActuatorParameters, child: &ActuatorParame
     let mut stretches: Vec<(BenchChannel, f64, DrivenTrace)> = Vec::new();
     for (_, recorded) in all {
         let of = |p: &ActuatorParameters| {
-            let mut bench = driven::<1>(bench, &recorded, std::slice::from_ref(p));
-            (bench.swap_remove(0), simplified(&recorded, p))
+            let mut by_bench = driven::<1>(bench, &recorded, std::slice::from_ref(p));
+            (by_bench.swap_remove(0), simplified(bench, &recorded, p))
         };
         let ((before, simple_before), (after, simple_after)) = rayon::join(|| of(parent), || of(child));
         for (channel, _) in CHANNELS {
@@ -474,11 +475,26 @@ where
             }
         }
     }
+    if let Some(made) = bench.made_of_angle {
+        for s in means.iter_mut().chain(&mut at_points) {
+            as_recorded(made, &r.time_s, s);
+        }
+    }
     (means, at_points)
 }
 
+/// A speed that the drive makes of the angle: the simulated one is made likewise.
+fn as_recorded(made: LowPass, time_s: &[f64], s: &mut Simulated) {
+    let rate_hz = (time_s.len() - 1) as f64 / (time_s[time_s.len() - 1] - time_s[0]);
+    if s.contains_key(&BenchChannel::Velocity)
+        && let Some(speed) = s.get(&BenchChannel::Position).map(|x| made.speed_of(x, rate_hz))
+    {
+        s.insert(BenchChannel::Velocity, speed);
+    }
+}
+
 /// The simplified model under the recorded command.
-fn simplified(r: &Recorded, p: &ActuatorParameters) -> Simulated {
+fn simplified(bench: &Bench, r: &Recorded, p: &ActuatorParameters) -> Simulated {
     let (mut done, ends) = r.steps(STEP_S);
     let rest = r.measured.get(&BenchChannel::Position).map_or(0.0, |x| x[0]);
     let mut m = MonitorModel::new(p, STEP_S).at_rest_angle(rest);
@@ -511,6 +527,9 @@ fn simplified(r: &Recorded, p: &ActuatorParameters) -> Simulated {
         for (c, x) in values {
             out.entry(c).or_default().push(x);
         }
+    }
+    if let Some(made) = bench.made_of_angle {
+        as_recorded(made, &r.time_s, &mut out);
     }
     out
 }
