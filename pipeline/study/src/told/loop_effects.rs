@@ -27,6 +27,8 @@ const TOLD: f64 = 3.0;
 const LEAST_TOLD: f64 = 3e-3;
 /// Standard deviations from which an effect that proves itself on held-out runs is one (assumed).
 const CERTAIN: f64 = 4.0;
+/// The same where it takes nearly all of the gap, there, and the loop rests with it: what scatters is how much, not whether (assumed).
+const CERTAIN_AT_REST: f64 = 3.0;
 /// Gap over [`QUIET`] that no constants explain and no effect, from which something is missing (assumed: without anything missing up to 1.4
 /// was left).
 const STRANGE: f64 = 2.0;
@@ -260,7 +262,9 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
     let kind = effect.kind;
     let apart = kinds.next().is_none_or(|rival| rival.left > APART * left);
     let takes = left < (1.0 - LEAST_SHARE) * constants;
-    let is_certain = best.value.abs() > CERTAIN * best.sd;
+    let settles = left.sqrt() < QUIET * MEAN_S;
+    let at_rest = settles && left < (1.0 - NEARLY_ALL) * constants;
+    let is_certain = best.value.abs() > if at_rest { CERTAIN_AT_REST } else { CERTAIN } * best.sd;
     if kind == EffectKind::Compliance || !(apart && takes && rests(left) && is_certain) {
         return Ok(nameless);
     }
@@ -273,7 +277,6 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
     beside.sensor = effect.sensor;
     beside.draw = effect.draw;
     beside.second = (kind == EffectKind::TurnShort).then_some(effect.values[1]);
-    let settles = left.sqrt() < QUIET * MEAN_S;
     Ok(Shown::Effect(OfMotion { beside, settles }))
 }
 
