@@ -29,6 +29,8 @@ const FED: f64 = 1.5;
 /// Constants that voltages tell.
 const TOLD_BY_VOLTAGES: [&str; 3] = ["torque_constant", "resistance", "supply_voltage"];
 
+const OF_WINDINGS: [&str; 2] = ["resistance", "inductance"];
+
 /// Text of an actuator's file, or why there is none.
 type Made = schemas::error::Result<String>;
 
@@ -59,6 +61,15 @@ struct Stand {
     verification: Verification,
 }
 
+impl Stand {
+    /// Some constants and their standard deviations, relative.
+    fn told(&self, names: &[&str]) -> Vec<(String, f64)> {
+        let of = |c: &Identified| (c.name.clone(), 0.25 * (c.hi - c.lo) / c.value.abs().max(1e-300));
+        let all = self.findings.retuned.iter();
+        all.filter(|c| names.contains(&c.name.as_str())).map(of).collect()
+    }
+}
+
 impl Judge<'_> {
     /// * `findings`, `made` of the outcome as it is
     ///
@@ -68,8 +79,9 @@ impl Judge<'_> {
         bench.made_of_angle = outcome.material.bench.made_of_angle;
         let mut now = self.simulated(&mut bench, outcome, findings, made)?;
         if outcome.verdict != Verdict::None && (!scale::told_by_voltages(&bench) || self.astray(&bench, &now)?) {
-            let (bench, of) = (bench.clone(), now.child.clone());
-            outcome.by_loop = interruptible(self.tell_user, move |_| scale::by_loop(&bench, &of))??.unwrap_or_default();
+            let (bench, of, said) = (bench.clone(), now.child.clone(), now.told(&OF_WINDINGS));
+            let look = move |_: &dyn Fn(&str)| scale::by_loop(&bench, &of, &said);
+            outcome.by_loop = interruptible(self.tell_user, look)??.unwrap_or_default();
         }
         if !outcome.by_loop.is_empty() {
             now = self.again(&mut bench, outcome)?;
@@ -200,9 +212,7 @@ impl Judge<'_> {
             return Ok(Shown::Nothing);
         }
         let told: Vec<(String, f64)> = if scale::told_by_voltages(bench) && outcome.by_loop.is_empty() {
-            let of = |c: &Identified| (c.name.clone(), 0.25 * (c.hi - c.lo) / c.value.abs().max(1e-300));
-            let by_voltages = |c: &&Identified| TOLD_BY_VOLTAGES.contains(&c.name.as_str());
-            now.findings.retuned.iter().filter(by_voltages).map(of).collect()
+            now.told(&TOLD_BY_VOLTAGES)
         } else {
             Vec::new()
         };

@@ -18,8 +18,6 @@ const ROUNDS: usize = 4;
 const ONE_S: f64 = 0.05;
 /// Share of the angle's gap on held-out runs, rms, that must be gone for the loop to be believed (assumed).
 const LEAST_SHARE: f64 = 0.2;
-/// Least standard deviation, relative (assumed): what the model's step and relays make of the limits.
-const LEAST_SD: f64 = 1e-3;
 
 /// A piece of a recording: normal equations of its angle's gap, and the gap itself.
 struct Piece {
@@ -65,9 +63,12 @@ pub fn told_by_voltages(bench: &Bench) -> bool {
 /// Constants by the simulated loop, each over that of `child`. `None` where the loop does not come nearer to what was measured on
 /// runs that prove.
 ///
+/// * `said` constants of the windings as equations told them, and their standard deviations, relative: they may be further off
+///   than in units of one type
+///
 /// # Errors
 /// Refuses files that cannot be read.
-pub fn by_loop(bench: &Bench, child: &ActuatorParameters) -> Result<Option<Vec<OfLoop>>> {
+pub fn by_loop(bench: &Bench, child: &ActuatorParameters, said: &[(String, f64)]) -> Result<Option<Vec<OfLoop>>> {
     let has = |c: &BenchChannel| bench.channel(*c).is_some();
     if !bench.own {
         return Ok(None);
@@ -76,6 +77,10 @@ pub fn by_loop(bench: &Bench, child: &ActuatorParameters) -> Result<Option<Vec<O
     let knobs: Vec<&Knob> = KNOBS
         .iter()
         .filter(|k| k.name != "supply_voltage" || !has(&BenchChannel::VDc))
+        .collect();
+    let believed: Vec<f64> = knobs
+        .iter()
+        .map(|k| said.iter().filter(|s| s.0 == k.name).map(|s| s.1).fold(k.sd, f64::max))
         .collect();
     let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
     let mut x = DVector::zeros(knobs.len());
@@ -88,7 +93,7 @@ pub fn by_loop(bench: &Bench, child: &ActuatorParameters) -> Result<Option<Vec<O
         usual = scale;
         first.get_or_insert_with(|| held(&pieces));
         let finds: Vec<&Piece> = pieces.iter().filter(|p| !p.proves).collect();
-        let step = |out: Option<usize>| stepped(&finds, out, &knobs, &x);
+        let step = |out: Option<usize>| stepped(&finds, out, &believed, &x);
         if finds.len() < 3 {
             return Ok(None);
         }
@@ -104,28 +109,33 @@ pub fn by_loop(bench: &Bench, child: &ActuatorParameters) -> Result<Option<Vec<O
     }
     // torques, voltages, resistance and inductance that are all greater by the same make the same motion: without a measured supply
     // only what is believed of them says how great they are
-    let common: f64 = knobs.iter().map(|k| k.sd.powi(-2)).sum();
+    let common: f64 = believed.iter().map(|sd| sd.powi(-2)).sum();
     let common = if has(&BenchChannel::VDc) {
         0.0
     } else {
         common.sqrt().recip()
     };
+    let coarse = all.iter().any(|(_, r)| r.time_s[1] - r.time_s[0] > knobs::COARSE_S);
+    let least = |k: &Knob| k.least_sd * if coarse { knobs::COARSER } else { 1.0 };
     let told = knobs.iter().enumerate().map(|(i, k)| OfLoop {
         name: k.name,
         factor: x[i].exp(),
         sd: scatter(without.iter().map(|w: &DVector<f64>| w[i]), x[i])
             .hypot(variance[i].sqrt())
             .hypot(common)
-            .clamp(LEAST_SD, k.sd),
+            .min(believed[i])
+            .hypot(least(k)),
     });
     Ok(Some(told.collect()))
 }
 
 /// How far constants at `x` are from the best of pieces, all but `out`, and the variances there.
+///
+/// * `believed` how far they may be off, one sigma
 fn stepped(
     finds: &[&Piece],
     out: Option<usize>,
-    knobs: &[&Knob],
+    believed: &[f64],
     x: &DVector<f64>,
 ) -> Option<(DVector<f64>, DVector<f64>)> {
     let kept = || {
@@ -139,9 +149,9 @@ fn stepped(
     let left = kept().map(|p| p.counted).sum::<f64>() / samples;
     let mut gram: DMatrix<f64> = kept().map(|p| &p.gram / p.alike).sum::<DMatrix<f64>>() / left;
     let mut right: DVector<f64> = kept().map(|p| &p.right / p.alike).sum::<DVector<f64>>() / left;
-    for (i, k) in knobs.iter().enumerate() {
-        gram[(i, i)] += k.sd.powi(-2);
-        right[i] -= x[i] * k.sd.powi(-2);
+    for (i, sd) in believed.iter().enumerate() {
+        gram[(i, i)] += sd.powi(-2);
+        right[i] -= x[i] * sd.powi(-2);
     }
     let gram = gram.cholesky()?;
     Some((gram.solve(&right), gram.inverse().diagonal()))
@@ -211,7 +221,7 @@ mod tests {
             let pieces: Vec<Piece> = (0..5).map(|_| piece(x[0], usual)).collect();
             usual = 1e-4;
             let finds: Vec<&Piece> = pieces.iter().collect();
-            x += stepped(&finds, None, &knobs, &x)
+            x += stepped(&finds, None, &[knobs[0].sd], &x)
                 .expect("it can be solved")
                 .0
                 .map(|d| d.clamp(-LONGEST, LONGEST));
