@@ -77,7 +77,7 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters) -> Result<Option<SensorMo
         speed_noise_rad_per_s: noise(&rough(&recorded, simulated, &[BenchChannel::Velocity]), 0.0),
         current_range_a,
         current_bits,
-        current_noise_a: noise(&of_currents, count),
+        current_noise_a: noise(&of_currents, count).min(noise_of_sum(&recorded, count)),
         current_offset_a: offset(&recorded, simulated),
         sampling: Sampling {
             currents,
@@ -95,10 +95,6 @@ pub fn seen(bench: &Bench, child: &ActuatorParameters) -> Result<Option<SensorMo
 
 /// Squares of the roughness of blocks, measured and simulated; first those about which the simulation is smooth.
 fn rough(recorded: &[&Recorded], simulated: &[Simulated], channels: &[BenchChannel]) -> Vec<(f64, f64)> {
-    let square = |x: &[f64]| {
-        let all = channel_noise::fourth_differences(x).map(|d| d.powi(2));
-        all.sum::<f64>() / (70.0 * (x.len() - 4) as f64)
-    };
     let mut out = Vec::new();
     for (r, s) in recorded.iter().zip(simulated) {
         for c in channels {
@@ -108,7 +104,7 @@ fn rough(recorded: &[&Recorded], simulated: &[Simulated], channels: &[BenchChann
             let all: Vec<(f64, f64)> = x
                 .chunks_exact(BLOCK)
                 .zip(y.chunks_exact(BLOCK))
-                .map(|(x, y)| (square(x), square(y)))
+                .map(|(x, y)| (roughness(x), roughness(y)))
                 .collect();
             // by what is simulated before and after: by its own, the smoothest would be smoother than what is measured in them
             out.extend(all.windows(3).map(|w| (w[0].1 + w[2].1, w[1])));
@@ -128,6 +124,30 @@ fn noise(blocks: &[(f64, f64)], grain: f64) -> f64 {
     // the simulated relays may stand still where the measured ones do not
     let beyond = beyond.get(n / 2).copied().unwrap_or(0.0);
     (beyond - grain * grain / 12.0).max(0.0).sqrt()
+}
+
+/// What the sum of the phases has of noise, as much in each of them, rms: the windings meet in a star, chatter and all else of the
+/// currents adds up to nothing.
+///
+/// * `grain` whose share is told apart
+fn noise_of_sum(recorded: &[&Recorded], grain: f64) -> f64 {
+    let mut squares = Vec::new();
+    for r in recorded {
+        let [Some(a), Some(b), Some(c)] = BenchChannel::CURRENTS.map(|c| r.measured.get(&c)) else {
+            return f64::INFINITY;
+        };
+        let sum: Vec<f64> = a.iter().zip(b).zip(c).map(|((a, b), c)| a + b + c).collect();
+        squares.extend(sum.chunks_exact(BLOCK).map(|x| roughness(x) / 3.0));
+    }
+    squares.sort_by(f64::total_cmp);
+    let middle = squares.get(squares.len() / 2).copied().unwrap_or(f64::INFINITY);
+    (middle - grain * grain / 12.0).max(0.0).sqrt()
+}
+
+/// Variance of the white noise that is as rough.
+fn roughness(x: &[f64]) -> f64 {
+    let all = channel_noise::fourth_differences(x).map(|d| d.powi(2));
+    all.sum::<f64>() / (70.0 * (x.len() - 4) as f64)
 }
 
 /// Whether measured currents are as rough as simulated points, or as means, where the two differ.
