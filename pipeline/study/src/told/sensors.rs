@@ -22,6 +22,8 @@ const APART: f64 = 1.3;
 const NEAR: f64 = 0.02;
 /// Bits of a sensor whose grain is not seen.
 const FINE_BITS: u32 = 24;
+/// Chance of offsets beyond the half-width that is told.
+const BEYOND: f64 = 0.05;
 /// Currents of which the range is so many times the greatest (assumed).
 const RANGE: f64 = 1.1;
 
@@ -187,7 +189,8 @@ fn range_of(greatest: f64, grain: f64) -> (f64, u32) {
     (0.5 * grain * (1u64 << bits) as f64, bits)
 }
 
-/// Half-width of uniform offsets of which the greatest of those that were seen is the likeliest [A].
+/// Half-width of uniform offsets that is not greater in 95 % of what may have made the greatest of those that were seen [A] (of a
+/// half-width of which nothing is known but its size: (greatest / half-width)^n is left beyond it).
 fn offset(recorded: &[&Recorded], simulated: &[Simulated]) -> f64 {
     let (mut most, mut seen) = (0.0, 0.0);
     for (r, s) in recorded.iter().zip(simulated) {
@@ -200,7 +203,7 @@ fn offset(recorded: &[&Recorded], simulated: &[Simulated]) -> f64 {
             seen += 1.0;
         }
     }
-    most * (seen + 1.0) / f64::max(seen, 1.0)
+    most * BEYOND.powf(-1.0 / f64::max(seen, 1.0))
 }
 
 #[cfg(test)]
