@@ -41,7 +41,9 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
             K::TemperatureDependentFriction | K::WindingHeating if warm.is_some_and(|w| w < 3.0) => {
                 Some("the temperature changes by less than 3 K")
             }
-            K::SupplySag | K::DeadTime | K::CurrentGain if !electrical => Some("no voltage beside a measured current"),
+            K::SupplySag | K::DeadTime if !electrical => Some("no voltage beside a measured current"),
+            // of one phase it makes the torque ripple
+            K::CurrentGain if !electrical && !m.bench.has_phases() => Some("no voltage beside a measured current"),
             K::Backlash if !has(BenchChannel::UserPosition) => Some("no channel `user_position`"),
             // the back-EMF is one, too
             K::EncoderEccentricity

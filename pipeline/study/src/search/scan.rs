@@ -208,6 +208,11 @@ impl<'a> Scan<'a> {
             let gram = DMatrix::from_fn(m, m, |i, j| dot(&free[i], &free[j]) + if i == j { belief } else { 0.0 });
             let right = DVector::from_fn(m, |i, _| dot(&free[i], &rest));
             amplitudes = gram.cholesky()?.solve(&right).iter().copied().collect();
+            // a phase that makes less torque than its current says has lost turns, for all that the torque shows
+            let shorted = kind == EffectKind::CurrentGain && amplitudes.first().is_some_and(|a| *a > 0.0);
+            if shorted && self.problem.rows_of(Equation::Electrical) == 0 {
+                return None;
+            }
             if !admissible(kind, &amplitudes) {
                 return None;
             }
