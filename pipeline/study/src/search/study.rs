@@ -94,6 +94,34 @@ pub struct Outcome {
     pub nominal_to_channel: f64,
 }
 
+impl Outcome {
+    /// A phase that lost turns for one whose sensor says too much, or back: in the torque by measured currents the two are one and the
+    /// same. Nothing, and false, where voltages tell them apart or there is neither.
+    pub fn exchange_short_and_gain(&mut self) -> bool {
+        use EffectKind::{CurrentGain, TurnShort};
+        let p = &self.material.fit;
+        let alike = |t: &Term| matches!(t.kind, CurrentGain | TurnShort) && t.shape.len() == 1 && t.amplitudes[0] > 0.0;
+        if p.rows_of(Equation::Electrical) > 0 || self.model.terms.iter().filter(|t| alike(t)).count() != 1 {
+            return false;
+        }
+        let other = |kind: &mut EffectKind| match kind {
+            TurnShort => *kind = CurrentGain,
+            CurrentGain => *kind = TurnShort,
+            _ => (),
+        };
+        let of_terms = self.model.terms.iter_mut().map(|t| &mut t.kind);
+        let of_steps = self.steps.iter_mut().flat_map(|s| &mut s.taken);
+        let of_proofs = self.proofs.iter_mut().map(|p| &mut p.0);
+        let of_others = self.ambiguous.iter_mut().map(|a| &mut a.0);
+        of_terms
+            .chain(of_steps)
+            .chain(of_proofs)
+            .chain(of_others)
+            .for_each(other);
+        true
+    }
+}
+
 impl Material {
     /// A model without one of its terms, constants and amplitudes solved again.
     pub fn without(&self, model: &Fit, term: usize) -> Fit {

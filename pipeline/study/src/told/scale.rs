@@ -13,7 +13,9 @@ use sim_worker::parameters::ActuatorParameters;
 
 /// Longest step of a round, relative, and rounds.
 const LONGEST: f64 = 0.04;
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 7;
+/// Gap over the least before it from which a step went too far (assumed: gaps are weighted, this is not).
+const WORSE: f64 = 1.1;
 /// Time over which a gap of the angle is one and the same [s] (assumed).
 const ONE_S: f64 = 0.05;
 /// Share of the angle's gap on held-out runs, rms, that must be gone for the loop to be believed (assumed).
@@ -30,6 +32,16 @@ struct Piece {
     samples: usize,
     /// samples that say one and the same
     alike: f64,
+}
+
+/// Constants that came nearest, logarithms of factors, the gap there on what finds and on what proves, rms [rad], and what the next step
+/// says: variances, and where each but one of the pieces would go.
+struct Nearest {
+    x: DVector<f64>,
+    found: f64,
+    proven: f64,
+    variance: DVector<f64>,
+    without: Vec<DVector<f64>>,
 }
 
 impl Piece {
@@ -83,28 +95,44 @@ pub fn by_loop(bench: &Bench, child: &ActuatorParameters, said: &[(String, f64)]
         .map(|k| said.iter().filter(|s| s.0 == k.name).map(|s| s.1).fold(k.sd, f64::max))
         .collect();
     let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
-    let mut x = DVector::zeros(knobs.len());
+    let mut at: DVector<f64> = DVector::zeros(knobs.len());
     let mut usual = f64::INFINITY;
-    let mut first = None;
-    let mut without = Vec::new();
-    let mut variance = DVector::zeros(knobs.len());
+    let mut before = None;
+    let mut best: Option<Nearest> = None;
     for _ in 0..ROUNDS {
-        let (pieces, scale) = pieces(bench, &all, child, &knobs, &x, usual);
+        let (pieces, scale) = pieces(bench, &all, child, &knobs, &at, usual);
+        let (found, proven) = (rms(&pieces, false), held(&pieces));
+        before.get_or_insert(proven);
+        // a step that leads away went too far
+        if let Some(b) = best.as_ref().filter(|b| found > b.found * WORSE) {
+            at = 0.5 * (&at + &b.x);
+            continue;
+        }
         usual = scale;
-        first.get_or_insert_with(|| held(&pieces));
         let finds: Vec<&Piece> = pieces.iter().filter(|p| !p.proves).collect();
-        let step = |out: Option<usize>| stepped(&finds, out, &believed, &x);
+        let step = |out: Option<usize>| stepped(&finds, out, &believed, &at);
         if finds.len() < 3 {
             return Ok(None);
         }
-        let Some((now, left)) = step(None) else { return Ok(None) };
-        variance = left;
-        without = (0..finds.len()).filter_map(|k| Some(&x + step(Some(k))?.0)).collect();
-        x += now.map(|d| d.clamp(-LONGEST, LONGEST));
+        let Some((now, variance)) = step(None) else {
+            return Ok(None);
+        };
+        let without = (0..finds.len()).filter_map(|k| Some(&at + step(Some(k))?.0)).collect();
+        let further = &at + now.map(|d| d.clamp(-LONGEST, LONGEST));
+        best = Some(Nearest {
+            x: at,
+            found,
+            proven,
+            variance,
+            without,
+        });
+        at = further;
     }
-    let (last, _) = pieces(bench, &all, child, &knobs, &x, usual);
-    let (before, after) = (first.unwrap_or(0.0), held(&last));
-    if after.is_nan() || after > (1.0 - LEAST_SHARE) * before {
+    let Some(best) = best else { return Ok(None) };
+    let Nearest {
+        x, variance, without, ..
+    } = &best;
+    if best.proven.is_nan() || best.proven > (1.0 - LEAST_SHARE) * before.unwrap_or(0.0) {
         return Ok(None);
     }
     // torques, voltages, resistance and inductance that are all greater by the same make the same motion: without a measured supply
@@ -159,8 +187,12 @@ fn stepped(
 
 /// Gap of the angle on what proves, or, where nothing does, on all, rms [rad].
 fn held(pieces: &[Piece]) -> f64 {
-    let any = pieces.iter().any(|p| p.proves);
-    let of = || pieces.iter().filter(|p| p.proves == any);
+    rms(pieces, pieces.iter().any(|p| p.proves))
+}
+
+/// Gap of the angle on what proves, or on what finds, rms [rad].
+fn rms(pieces: &[Piece], proves: bool) -> f64 {
+    let of = || pieces.iter().filter(|p| p.proves == proves);
     let samples = of().map(|p| p.samples).sum::<usize>().max(1);
     (of().map(|p| p.squared).sum::<f64>() / samples as f64).sqrt()
 }
