@@ -308,6 +308,34 @@ mod tests {
     use super::*;
 
     #[test]
+    fn what_makes_the_currents_run_as_measured_is_nearer_whatever_the_angle() {
+        let with = |position: f64, others: f64| {
+            let of = |(c, child): (BenchChannel, f64)| verify::VerifiedChannel {
+                channel: c.name().to_string(),
+                unit: String::new(),
+                samples: 1,
+                parent: 1.0,
+                child,
+                simplified: None,
+            };
+            let all = BenchChannel::CURRENTS
+                .into_iter()
+                .chain([BenchChannel::Velocity])
+                .map(|c| (c, others));
+            Verification {
+                channels: std::iter::once((BenchChannel::Position, position))
+                    .chain(all)
+                    .map(of)
+                    .collect(),
+                ..Verification::default()
+            }
+        };
+        assert!((nearer(&with(5.0, 0.1), &with(1.0, 0.2)) - 0.5).abs() < 1e-12);
+        // nothing to compare
+        assert_eq!(nearer(&Verification::default(), &with(1.0, 1.0)), 1.0);
+    }
+
+    #[test]
     fn prop_only_a_motion_twice_as_far_away_in_held_out_data_stands_against_what_was_found() {
         let of = |channel: BenchChannel, parent: f64, child: f64, heldout: bool| {
             let other = verify::VerifiedChannel {
