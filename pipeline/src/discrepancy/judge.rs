@@ -80,6 +80,7 @@ impl Judge<'_> {
     pub fn judged(&self, mut bench: Bench, outcome: &mut Outcome, findings: Findings, made: Made) -> Result<Judged> {
         bench.made_of_angle = outcome.material.bench.made_of_angle;
         let mut now = self.with_loop(&mut bench, outcome, findings, made)?;
+        let mut against = Vec::new();
         // a phase that lost turns moves the motor otherwise than one whose sensor says too much
         if outcome.verdict != Verdict::None && outcome.exchange_short_and_gain() {
             let before = std::mem::take(&mut outcome.by_loop);
@@ -87,18 +88,21 @@ impl Judge<'_> {
             let made = (self.made)(&findings);
             let exchanged = self.with_loop(&mut bench, outcome, findings, made)?;
             if nearer(&exchanged.verification, &now.verification) < NEARER {
-                now = exchanged;
+                outcome.rank_exchanged();
+                now = self.again(&mut bench, outcome)?;
             } else {
                 outcome.exchange_short_and_gain();
                 outcome.by_loop = before;
             }
+            let text = "in the torque a phase that lost turns and one whose sensor says too much are alike: the simulated currents and \
+                        speed say which";
+            against.push(text.to_string());
         }
         let (of_source, of) = (bench.clone(), now.child.clone());
         outcome.source = interruptible(self.tell_user, move |_| source::by_loop(&of_source, &of))??;
         if outcome.source.is_some() {
             now = self.again(&mut bench, outcome)?;
         }
-        let mut against = Vec::new();
         let late = self.late_control(&bench, &now, outcome)?;
         let found = match late {
             Some(late) => Some(late),

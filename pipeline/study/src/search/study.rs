@@ -120,6 +120,22 @@ impl Outcome {
             .for_each(other);
         true
     }
+
+    /// The steps' candidates as the exchanged effect has them: its own are those that the other led with.
+    pub fn rank_exchanged(&mut self) {
+        use EffectKind::{CurrentGain, TurnShort};
+        for s in self.steps.iter_mut().filter(|s| s.accepted) {
+            let Some(taken) = s.taken.iter().copied().find(|k| matches!(k, CurrentGain | TurnShort)) else {
+                continue;
+            };
+            let led = if taken == CurrentGain { TurnShort } else { CurrentGain };
+            if s.ranked.iter().any(|r| r.term.kind == led) {
+                s.ranked.retain(|r| r.term.kind != taken);
+            }
+            let of_other = s.ranked.iter_mut().filter(|r| r.term.kind == led);
+            of_other.for_each(|r| r.term.kind = taken);
+        }
+    }
 }
 
 impl Material {
