@@ -31,8 +31,6 @@ const NEARER: f64 = 0.95;
 /// Constants that voltages tell.
 const TOLD_BY_VOLTAGES: [&str; 3] = ["torque_constant", "resistance", "supply_voltage"];
 
-const OF_WINDINGS: [&str; 2] = ["resistance", "inductance"];
-
 /// Text of an actuator's file, or why there is none.
 type Made = schemas::error::Result<String>;
 
@@ -79,17 +77,21 @@ impl Judge<'_> {
     /// Recordings that cannot be read; where it was interrupted.
     pub fn judged(&self, mut bench: Bench, outcome: &mut Outcome, findings: Findings, made: Made) -> Result<Judged> {
         bench.made_of_angle = outcome.material.bench.made_of_angle;
-        let mut now = self.with_loop(&mut bench, outcome, findings, made)?;
+        let now = self.simulated(&mut bench, outcome, findings, made)?;
+        let mut now = self.with_loop(&mut bench, outcome, now)?;
         let mut against = Vec::new();
         // a phase that lost turns moves the motor otherwise than one whose sensor says too much
         if outcome.verdict != Verdict::None && outcome.exchange_short_and_gain() {
             let before = std::mem::take(&mut outcome.by_loop);
-            let findings = (self.told)(outcome);
-            let made = (self.made)(&findings);
-            let exchanged = self.with_loop(&mut bench, outcome, findings, made)?;
-            if nearer(&exchanged.verification, &now.verification) < NEARER {
+            let mut of_other = bench.clone();
+            let other = self.again(&mut of_other, outcome)?;
+            let other = self.with_loop(&mut of_other, outcome, other)?;
+            if nearer(&other.verification, &now.verification) < NEARER {
                 outcome.rank_exchanged();
-                now = self.again(&mut bench, outcome)?;
+                bench = of_other;
+                now = other;
+                now.findings = (self.told)(outcome);
+                now.made = (self.made)(&now.findings);
             } else {
                 outcome.exchange_short_and_gain();
                 outcome.by_loop = before;
@@ -167,11 +169,14 @@ impl Judge<'_> {
         })
     }
 
-    /// Simulated, with the constants that only the loop tells.
-    fn with_loop(&self, bench: &mut Bench, outcome: &mut Outcome, findings: Findings, made: Made) -> Result<Stand> {
-        let now = self.simulated(bench, outcome, findings, made)?;
+    /// With the constants that only the loop tells.
+    fn with_loop(&self, bench: &mut Bench, outcome: &mut Outcome, now: Stand) -> Result<Stand> {
         if outcome.verdict != Verdict::None && (!scale::told_by_voltages(bench) || self.astray(bench, &now)?) {
-            let (bench, of, said) = (bench.clone(), now.child.clone(), now.told(&OF_WINDINGS));
+            let (bench, of, said) = (
+                bench.clone(),
+                now.child.clone(),
+                now.told(&scale::WINDINGS.map(|w| w.0)),
+            );
             let look = move |_: &dyn Fn(&str)| scale::by_loop(&bench, &of, &said);
             outcome.by_loop = interruptible(self.tell_user, look)??.unwrap_or_default();
         }

@@ -97,14 +97,16 @@ fn made_of_angle(runs: &[Run]) -> Option<LowPass> {
         (order, tau, rest)
     });
     let (order, tau, rest) = passes.into_iter().min_by(|a, b| a.2.total_cmp(&b.2))?;
-    let is_made = rest < SHARE * SHARE * delayed && order as f64 * tau > LEAST_LAG_S;
+    if rest >= SHARE * SHARE * delayed || order as f64 * tau <= LEAST_LAG_S {
+        return None;
+    }
     let gaps = pairs.iter().flat_map(|p| {
         let from = p.settled();
         let made = p.passed(tau, order);
         (from..p.speed.len()).map(move |k| p.speed[k] - made[k])
     });
     let (squares, samples) = gaps.fold((0.0, 0), |(e, n), gap| (e + gap * gap, n + 1));
-    is_made.then(|| LowPass {
+    Some(LowPass {
         order,
         corner_hz: 1.0 / (std::f64::consts::TAU * tau),
         left_rad_per_s: (squares / f64::from(samples.max(1))).sqrt(),

@@ -11,18 +11,11 @@ const USUAL: f64 = 3.0;
 /// Pieces of a recording, each of which is left out once [s].
 pub(super) const PIECE_S: f64 = 1.0;
 
-/// Samples further apart than this say less of the windings, and by how much (assumed: at 1 kHz resistance was off by 3 % rms).
-pub(super) const COARSE_S: f64 = 7.5e-4;
-pub(super) const COARSER: f64 = 2.0;
-
 /// A constant that the loop tells, how far it may be off in units of one type, one sigma relative (assumed), and what it is of an
 /// actuator.
 pub(super) struct Knob {
     pub(super) name: &'static str,
     pub(super) sd: f64,
-    /// what the loop tells of it is no better than this, one sigma relative: what the model's step, its relays and another source
-    /// make of it (assumed; of 20 plain benches of another hand resistance was off by 1.7 % rms, inductance by 3 %)
-    pub(super) least_sd: f64,
     pub(super) turn: fn(&mut ActuatorParameters, f64),
 }
 
@@ -30,7 +23,6 @@ pub(super) const KNOBS: [Knob; 4] = [
     Knob {
         name: "torque_constant",
         sd: 0.02,
-        least_sd: 1e-3,
         // with all that the current tells by it
         turn: |p, f| {
             p.drive_constant_n_m_per_a = p.drive_constant();
@@ -43,19 +35,16 @@ pub(super) const KNOBS: [Knob; 4] = [
     Knob {
         name: "resistance",
         sd: 0.04,
-        least_sd: 1.5e-2,
         turn: |p, f| p.phase_resistance_ohm *= f,
     },
     Knob {
         name: "inductance",
         sd: 0.03,
-        least_sd: 2.5e-2,
         turn: |p, f| p.phase_inductance_h *= f,
     },
     Knob {
         name: "supply_voltage",
         sd: 0.01,
-        least_sd: 1e-3,
         turn: |p, f| p.supply_voltage_v *= f,
     },
 ];
@@ -65,19 +54,16 @@ pub(super) const MECHANICS: [Knob; 3] = [
     Knob {
         name: "inertia",
         sd: 0.05,
-        least_sd: 1e-3,
         turn: |p, f| p.inertia_kg_m2 *= f,
     },
     Knob {
         name: "viscous",
         sd: 0.2,
-        least_sd: 1e-3,
         turn: |p, f| p.viscous_n_m_s_per_rad *= f,
     },
     Knob {
         name: "coulomb",
         sd: 0.1,
-        least_sd: 1e-3,
         turn: |p, f| p.static_friction_n_m *= f,
     },
 ];

@@ -247,7 +247,8 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
         return Ok(nameless);
     };
     // what leaves more than would be strange by itself, and not nearly nothing of a great gap, is the nearest relative of something else
-    let rests = |left: f64| left.sqrt() < 2.0 * STRANGE * QUIET * MEAN_S || left < (1.0 - NEARLY_ALL) * constants;
+    let nearly_all = |left: f64| left < (1.0 - NEARLY_ALL) * constants;
+    let rests = |left: f64| left.sqrt() < 2.0 * STRANGE * QUIET * MEAN_S || nearly_all(left);
     for _ in 0..FOLLOWED_ON {
         if rests(best.left) || best.candidate.effect.kind == EffectKind::Compliance {
             break;
@@ -263,8 +264,12 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
     let apart = kinds.next().is_none_or(|rival| rival.left > APART * left);
     let takes = left < (1.0 - LEAST_SHARE) * constants;
     let settles = left.sqrt() < QUIET * MEAN_S;
-    let at_rest = settles && left < (1.0 - NEARLY_ALL) * constants;
-    let is_certain = best.value.abs() > if at_rest { CERTAIN_AT_REST } else { CERTAIN } * best.sd;
+    let is_certain = best.value.abs()
+        > if settles && nearly_all(left) {
+            CERTAIN_AT_REST
+        } else {
+            CERTAIN
+        } * best.sd;
     if kind == EffectKind::Compliance || !(apart && takes && rests(left) && is_certain) {
         return Ok(nameless);
     }

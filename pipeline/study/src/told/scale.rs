@@ -21,6 +21,14 @@ const ONE_S: f64 = 0.05;
 /// Share of the angle's gap on held-out runs, rms, that must be gone for the loop to be believed (assumed).
 const LEAST_SHARE: f64 = 0.2;
 
+/// What the loop tells is no better than this, one sigma relative, and of the windings: what the model's step, its relays and another
+/// source make of it (assumed; of 20 plain benches of another hand resistance was off by 1.7 % rms, inductance by 3 %).
+const LEAST_SD: f64 = 1e-3;
+pub const WINDINGS: [(&str, f64); 2] = [("resistance", 1.5e-2), ("inductance", 2.5e-2)];
+/// Samples further apart than this say less, and by how much (assumed: at 1 kHz resistance was off by 3 % rms).
+const COARSE_S: f64 = 7.5e-4;
+const COARSER: f64 = 2.0;
+
 /// A piece of a recording: normal equations of its angle's gap, and the gap itself.
 struct Piece {
     proves: bool,
@@ -143,8 +151,11 @@ pub fn by_loop(bench: &Bench, child: &ActuatorParameters, said: &[(String, f64)]
     } else {
         common.sqrt().recip()
     };
-    let coarse = all.iter().any(|(_, r)| r.time_s[1] - r.time_s[0] > knobs::COARSE_S);
-    let least = |k: &Knob| k.least_sd * if coarse { knobs::COARSER } else { 1.0 };
+    let coarse = all.iter().any(|(_, r)| r.time_s[1] - r.time_s[0] > COARSE_S);
+    let least = |k: &Knob| {
+        let of = WINDINGS.iter().find(|w| w.0 == k.name).map_or(LEAST_SD, |w| w.1);
+        of * if coarse { COARSER } else { 1.0 }
+    };
     let told = knobs.iter().enumerate().map(|(i, k)| OfLoop {
         name: k.name,
         factor: x[i].exp(),

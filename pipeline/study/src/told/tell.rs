@@ -8,10 +8,11 @@ use crate::search::excitation;
 use crate::search::fit::{self, Fit};
 use crate::search::intervals::{self, Intervals};
 use crate::search::select::Material;
-use crate::search::study::{OfLoop, Outcome};
+use crate::search::study::Outcome;
 use crate::search::verdict::{Verdict, shares};
 use crate::told::findings::*;
 use crate::told::places;
+use crate::told::scale;
 use crate::told::words::{assumptions, facts, missing, sentence, told, unnamed};
 use nalgebra::{DMatrix, DVector};
 use sim_worker::effect::{EffectKind, Equation, NORMAL_95, Reads};
@@ -139,6 +140,15 @@ fn covariance(all: &[Identified], correlation: &[f64]) -> DMatrix<f64> {
     DMatrix::from_fn(n, n, |a, b| correlation[a * n + b] * sds[a] * sds[b])
 }
 
+/// The correlation of two constants.
+fn correlated(of: &DMatrix<f64>, a: usize, b: usize) -> f64 {
+    let sd = |k: usize| of[(k, k)].max(1e-300).sqrt();
+    if a == b {
+        return 1.0;
+    }
+    (of[(a, b)] / (sd(a) * sd(b))).clamp(-1.0, 1.0)
+}
+
 /// Intervals as a relative covariance says.
 fn with_covariance(all: &mut [Identified], of: &DMatrix<f64>) {
     for (k, c) in all.iter_mut().enumerate() {
@@ -150,16 +160,15 @@ fn with_covariance(all: &mut [Identified], of: &DMatrix<f64>) {
 /// The constants with what the scale of all torques is uncertain by, beyond what the rows say.
 fn scaled(o: &Outcome, mut all: Vec<Identified>, correlation: Vec<f64>) -> (Vec<Identified>, Vec<f64>) {
     let bench = &o.material.bench;
-    if !bench.own || BenchChannel::VOLTAGES.iter().any(|c| bench.channel(*c).is_none()) {
+    if !bench.own || !scale::told_by_voltages(bench) {
         return (all, correlation);
     }
     let n = all.len();
     let of_scale = |c: &Identified| f64::from(u8::from(SCALED.contains(&c.name.as_str()))) * SCALE_SD;
-    let scale = DVector::from_iterator(n, all.iter().map(of_scale));
-    let of = covariance(&all, &correlation) + &scale * scale.transpose();
+    let all_at_once = DVector::from_iterator(n, all.iter().map(of_scale));
+    let of = covariance(&all, &correlation) + &all_at_once * all_at_once.transpose();
     with_covariance(&mut all, &of);
-    let told = |a: usize, b: usize| of[(a, b)] / (of[(a, a)] * of[(b, b)]).sqrt().max(1e-300);
-    let correlation = (0..n * n).map(|k| told(k / n, k % n).clamp(-1.0, 1.0)).collect();
+    let correlation = (0..n * n).map(|k| correlated(&of, k / n, k % n)).collect();
     (all, correlation)
 }
 
@@ -171,18 +180,18 @@ fn looped(o: &Outcome, mut all: Vec<Identified>, correlation: Vec<f64>) -> (Vec<
     }
     let n = all.len();
     let mut of = covariance(&all, &correlation);
-    let place = |l: &OfLoop| all.iter().position(|c| c.name == l.name);
-    let (among, alone): (Vec<&OfLoop>, Vec<&OfLoop>) = o.by_loop.iter().partition(|l| place(l).is_some());
-    let among: Vec<(usize, f64, f64)> = among
-        .iter()
-        .filter_map(|l| Some((place(l)?, l.factor.ln(), l.sd)))
-        .collect();
+    let (mut among, mut alone) = (Vec::new(), Vec::new());
+    for l in &o.by_loop {
+        match all.iter().position(|c| c.name == l.name) {
+            Some(k) => among.push((k, l.factor.ln(), l.sd)),
+            None => alone.push(l),
+        }
+    }
     let moved = measured_too(&mut of, &among);
     for (c, by) in all.iter_mut().zip(moved.iter()) {
         c.value *= by.exp();
     }
     with_covariance(&mut all, &of);
-    let known: Vec<f64> = (0..n).map(|k| of[(k, k)].max(1e-300).sqrt()).collect();
     let rig = &o.material.bench.rig;
     for l in alone {
         let (nominal, unit) = match l.name {
@@ -202,9 +211,8 @@ fn looped(o: &Outcome, mut all: Vec<Identified>, correlation: Vec<f64>) -> (Vec<
     }
     let m = all.len();
     let told = |a: usize, b: usize| match (a < n, b < n) {
-        _ if a == b => 1.0,
-        (true, true) => (of[(a, b)] / (known[a] * known[b])).clamp(-1.0, 1.0),
-        _ => 0.0,
+        (true, true) => correlated(&of, a, b),
+        _ => f64::from(u8::from(a == b)),
     };
     let correlation = (0..m * m).map(|k| told(k / m, k % m)).collect();
     (all, correlation)

@@ -2,7 +2,6 @@
 //! parameters as they were (parent) and with what a study found (child), beside what was measured.
 
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Role, RunSpec};
-use crate::measured::filtered::LowPass;
 use crate::measured::jumps::Jumps;
 use crate::measured::own::with_q_current;
 use crate::measured::rows::{in_si, split};
@@ -475,22 +474,22 @@ where
             }
         }
     }
-    if let Some(made) = bench.made_of_angle {
-        for s in means.iter_mut().chain(&mut at_points) {
-            as_recorded(made, &r.time_s, s);
-        }
+    for s in means.iter_mut().chain(&mut at_points) {
+        as_recorded(bench, &r.time_s, s);
     }
     (means, at_points)
 }
 
 /// A speed that the drive makes of the angle: the simulated one is made likewise.
-fn as_recorded(made: LowPass, time_s: &[f64], s: &mut Simulated) {
+fn as_recorded(bench: &Bench, time_s: &[f64], s: &mut Simulated) {
+    let Some(made) = bench.made_of_angle.filter(|_| s.contains_key(&BenchChannel::Velocity)) else {
+        return;
+    };
     let rate_hz = (time_s.len() - 1) as f64 / (time_s[time_s.len() - 1] - time_s[0]);
-    if s.contains_key(&BenchChannel::Velocity)
-        && let Some(speed) = s.get(&BenchChannel::Position).map(|x| made.speed_of(x, rate_hz))
-    {
-        s.insert(BenchChannel::Velocity, speed);
-    }
+    s.insert(
+        BenchChannel::Velocity,
+        made.speed_of(&s[&BenchChannel::Position], rate_hz),
+    );
 }
 
 /// The simplified model under the recorded command.
@@ -528,9 +527,7 @@ fn simplified(bench: &Bench, r: &Recorded, p: &ActuatorParameters) -> Simulated 
             out.entry(c).or_default().push(x);
         }
     }
-    if let Some(made) = bench.made_of_angle {
-        as_recorded(made, &r.time_s, &mut out);
-    }
+    as_recorded(bench, &r.time_s, &mut out);
     out
 }
 
