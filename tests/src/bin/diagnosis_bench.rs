@@ -65,6 +65,9 @@ struct Options {
     /// Which half of the defects is hidden
     #[arg(long, value_name = "HALF", value_parser = ["design", "judged"])]
     defects: Option<String>,
+    /// Of `--defects`: these kinds alone, as the tables call them
+    #[arg(long, value_name = "KIND", requires = "defects")]
+    kind: Vec<String>,
     /// Write the text here, too
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
@@ -183,11 +186,14 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
 
 /// Half of the defects in units without a history and with one, by the other simulator.
 fn with_defects(cache: &std::path::Path, options: &Options) -> Result<String> {
-    let defects = match options.defects.as_deref() {
-        Some("design") => &DESIGN[..],
-        Some("judged") => &JUDGED[..],
+    let mut half = match options.defects.as_deref() {
+        Some("design") => DESIGN.to_vec(),
+        Some("judged") => JUDGED.to_vec(),
         other => anyhow::bail!("--defects {}: design or judged", other.unwrap_or("")),
     };
+    half.retain(|d| options.kind.is_empty() || options.kind.contains(&d.title()));
+    anyhow::ensure!(!half.is_empty(), "--kind {}: none of this half", options.kind.join(" --kind "));
+    let defects = &half[..];
     let mut out = format!(
         "## Defects that the maps know nothing of\n\n{} tests of each severity, units and effects simulated by another hand. refused: \
          unexplained or out of range; inside: the true pair in both intervals; off: located with FSJ or zeta off by more than its interval \

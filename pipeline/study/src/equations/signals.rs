@@ -216,6 +216,18 @@ impl Clock {
         (whole as i64, late - whole / self.rate_hz)
     }
 
+    /// Samples at the beginning and at the end of a run of which the moment was not recorded in every channel: of one that is late
+    /// its last are missing, of one that is early its first.
+    fn ends(&self, bench: &Bench, run: &Run) -> (usize, usize) {
+        let channels = bench.channels.iter().map(|c| c.channel);
+        let whole = channels
+            .filter(|c| run.channel(*c).is_some())
+            .map(|c| self.lateness(bench, c).0);
+        let (first, last) = whole.fold((0, 0), |(first, last), w| (i64::max(first, -w), i64::max(last, w)));
+        let samples = |x: i64| (x as usize).min(run.samples);
+        (samples(first), samples(last))
+    }
+
     /// How much later than the common moment a channel's value is written down [s].
     pub(super) fn shift(&self, bench: &Bench, c: BenchChannel) -> f64 {
         let spec = bench.channel(c).expect("only asked for channels that are there");
@@ -353,6 +365,15 @@ impl Signals {
         for k in (0..run.lost.len()).filter(|&k| run.lost[k]) {
             resting[k.saturating_sub(AROUND_GAP)..(k + AROUND_GAP).min(run.samples)].fill(true);
         }
+        let (first, last) = clock.ends(bench, run);
+        let mut lost = run.lost.clone();
+        if first.max(last) > 1 {
+            lost.resize(run.samples, false);
+        }
+        for marks in [&mut resting, &mut lost].into_iter().filter(|m| !m.is_empty()) {
+            marks[..first].fill(true);
+            marks[run.samples - last..].fill(true);
+        }
         let rig = &bench.rig;
         if rig.drive == BenchChannel::Current {
             // near the supply's limit the phases no longer carry what the commutation asks for
@@ -394,7 +415,7 @@ impl Signals {
             accel,
             sign,
             resting,
-            lost: run.lost.clone(),
+            lost,
             stepping,
             drive: at(drive_channel).expect("checked when read"),
             drive_rate: s.whole(1, raw),

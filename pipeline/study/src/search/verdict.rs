@@ -136,11 +136,6 @@ pub fn conclude(
     let (before, after) = (held.energy(&m.judged_residual(retuned)), held.energy(&judged));
     let by_equation = shares(held, &before, &after, Some(&judged));
     let explained = overall(held, &before, &by_equation);
-    // an equation that was off before, or that an effect has touched
-    let counts =
-        |e: usize| before[e] > BEYOND * held.sensor_energy(e) || (before[e] - after[e]).abs() > 0.05 * before[e];
-    let counted = (0..5).filter(|e| counts(*e)).filter_map(|e| by_equation[e]);
-    let worst = counted.fold(1.0, |a: f64, b| a.min(b));
     // an effect is not that which leaves its own equation unexplained
     let own = |t: &Term| by_equation[t.kind.equation().index()];
     let stranger = model.terms.iter().filter_map(own).any(|s| s < NAMED_SHARE);
@@ -150,8 +145,9 @@ pub fn conclude(
         explained
     } else {
         let all: Vec<f64> = (0..5).filter(|e| touched(*e)).filter_map(|e| by_equation[e]).collect();
+        // each effect has proven itself; where its equation as a whole was within the noise, nothing is left to explain
         if all.is_empty() {
-            explained
+            1.0
         } else {
             all.iter().sum::<f64>() / all.len() as f64
         }
@@ -167,24 +163,23 @@ pub fn conclude(
         .filter(|e| after[*e] > 0.0)
         .map(|e| unnamed[e] / after[e])
         .fold(0.0, f64::max);
+    // what a table finds, or what is far beyond the noise, is an effect that the list does not have
+    let slowly = |e: usize| match Equation::ALL[e] {
+        Equation::Kinematic => SENSORS_APART,
+        _ => SLOWLY,
+    };
+    // noise of a colour of its own is as strong from one mean to the next
+    let lasting = |e: usize| {
+        [SLOW_S, 2.0 * SLOW_S].iter().all(|s| {
+            let e = Equation::ALL[e];
+            held.slow_energy(&judged, e, *s) > SLOWLY * held.unrest(&judged, e, *s)
+        })
+    };
+    let beyond = |e: usize| slow[e] > slowly(e) && lasting(e) && after[e] > BEYOND * held.sensor_energy(e);
+    let most = if stated { UNKNOWN_SHARE } else { 2.5 * UNKNOWN_SHARE };
+    let odd = |e: usize| by_equation[e].is_some() && (remainder > most || stated && beyond(e));
     if model.terms.is_empty() {
-        // what a table finds, or what is far beyond the noise, is an effect that the list does not have
-        let slowly = |e: usize| match Equation::ALL[e] {
-            Equation::Kinematic => SENSORS_APART,
-            _ => SLOWLY,
-        };
-        // noise of a colour of its own is as strong from one mean to the next
-        let lasting = |e: usize| {
-            [SLOW_S, 2.0 * SLOW_S].iter().all(|s| {
-                let e = Equation::ALL[e];
-                held.slow_energy(&judged, e, *s) > SLOWLY * held.unrest(&judged, e, *s)
-            })
-        };
-        let far = |e: usize| slow[e] > slowly(e) && lasting(e) && after[e] > BEYOND * held.sensor_energy(e);
-        let beyond = stated && (0..4).any(|e| by_equation[e].is_some() && far(e));
-        let over = (0..4).any(|e| by_equation[e].is_some());
-        let most = if stated { UNKNOWN_SHARE } else { 2.5 * UNKNOWN_SHARE };
-        if remainder > most && over || beyond {
+        if (0..4).any(odd) {
             return (Verdict::Unknown, 0.0, remainder);
         }
         let worse = (0..5).any(|e| nominal.score.energy[e] > 1.1 * retuned.score.energy[e])
@@ -192,6 +187,13 @@ pub fn conclude(
         let verdict = if worse { Verdict::Retune } else { Verdict::None };
         return (verdict, 0.0, remainder);
     }
+    // an equation that an effect has touched, or that was off before as none is in which nothing is missing
+    let counts = |e: usize| {
+        (before[e] - after[e]).abs() > 0.05 * before[e]
+            || before[e] > BEYOND * held.sensor_energy(e) && (touched(e) || odd(e))
+    };
+    let counted = (0..5).filter(|e| counts(*e)).filter_map(|e| by_equation[e]);
+    let worst = counted.fold(1.0, |a: f64, b| a.min(b));
     let verdict = if explained < NAMED_SHARE || stranger || far {
         Verdict::Unknown
     } else if worst < CLEAN_SHARE {
