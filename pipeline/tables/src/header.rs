@@ -45,6 +45,9 @@ pub fn quantity(c: Channel) -> Quantity {
 /// Names of the time, the surest first.
 const TIMES: [&str; 4] = ["t", "time", "timestamp", "time_stamp"];
 
+/// By how much another case makes a name of the time less sure: more than any other spelling.
+const SHOUTED: usize = 2 * TIMES.len() + 2;
+
 /// Name and unit of a header: `omega_m [rpm]`, `omega_m (rpm)`, `omega_m / rpm`, `omega_m in rpm`.
 pub(crate) fn split(header: &str) -> (&str, Option<&str>) {
     let header = header.trim();
@@ -93,9 +96,17 @@ pub(crate) fn meaning(header: &str) -> Option<(Meaning, Option<String>, usize)> 
     if let Some(c) = Channel::from_name(name) {
         return Some((Meaning::Channel(c), unit, far));
     }
+    let written = name;
     let name = plain(name);
     if let Some(n) = TIMES.iter().position(|t| *t == name) {
-        return Some((Meaning::Time, unit, 2 * n + far));
+        // `T` beside `time` or `t` is a temperature or a torque
+        let shouted = written != name;
+        let measures_time = unit.as_ref().is_none_or(|u| units::stated(Quantity::Time, u).is_ok());
+        return (measures_time || !shouted).then_some((
+            Meaning::Time,
+            unit,
+            2 * n + far + SHOUTED * usize::from(shouted),
+        ));
     }
     if let Some(c) = Channel::from_name(&name) {
         return Some((Meaning::Channel(c), unit, 1 + far));
@@ -165,5 +176,16 @@ mod tests {
         ] {
             assert_eq!(known(other), None, "{other}");
         }
+    }
+
+    #[test]
+    fn prop_a_temperature_beside_the_time_is_no_second_time() {
+        let far = |h: &str| meaning(h).map(|(_, _, far)| far);
+        for time in ["t", "t_ms", "t [ms]", "time", "timestamp (s)", "time_stamp"] {
+            assert!(far(time) < far("T"), "{time}");
+        }
+        assert_eq!(far("T [degC]"), None);
+        assert_eq!(far("T (N m)"), None);
+        assert!(far("T [s]").is_some());
     }
 }

@@ -192,7 +192,11 @@ fn with_defects(cache: &std::path::Path, options: &Options) -> Result<String> {
         other => anyhow::bail!("--defects {}: design or judged", other.unwrap_or("")),
     };
     half.retain(|d| options.kind.is_empty() || options.kind.contains(&d.title()));
-    anyhow::ensure!(!half.is_empty(), "--kind {}: none of this half", options.kind.join(" --kind "));
+    anyhow::ensure!(
+        !half.is_empty(),
+        "--kind {}: none of this half",
+        options.kind.join(" --kind ")
+    );
     let defects = &half[..];
     let mut out = format!(
         "## Defects that the maps know nothing of\n\n{} tests of each severity, units and effects simulated by another hand. refused: \

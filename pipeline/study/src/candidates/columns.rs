@@ -51,13 +51,19 @@ pub fn form(kind: EffectKind) -> Form {
     }
 }
 
+/// The drive's signal without what its sensor adds: a ripple of it would be a torque that goes with the angle alone.
+fn drive(s: &Signals, c: &RigConstants, k: usize) -> f64 {
+    let (offset, late) = c.drive_error;
+    s.drive[k] - offset - late / s.rate_hz * s.drive_rate[k]
+}
+
 fn moments<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = effect::Signals> + 'a {
     (0..s.n).map(move |k| effect::Signals {
         theta: s.theta[k],
         rest: s.rest,
         omega: s.omega[k],
         sign: s.sign[k],
-        current: s.drive[k],
+        current: drive(s, c, k),
         current_rate: s.drive_rate[k],
         load: s.load_level[k],
         temperature: s

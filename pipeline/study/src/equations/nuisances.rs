@@ -50,6 +50,7 @@ pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
         motor: matches!(rig.drive, BenchChannel::Current | BenchChannel::Voltage),
         from_position: clock.from_position,
         encoder: rig.encoder,
+        drive_error: rig.drive_error,
         play: rig.play,
         speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
     }

@@ -48,6 +48,8 @@ pub struct RigConstants {
     pub from_position: bool,
     /// error of the angle sensor as far as it is known: amplitudes of sine and cosine [rad]
     pub encoder: (f64, f64),
+    /// by how much the drive's sensor is off as far as it is known [drive unit], and how many samples it is late
+    pub drive_error: (f64, f64),
     /// half-width of the play before the user [rad]
     pub play: f64,
     /// of the controller's law [drive unit per rad/s]

@@ -206,6 +206,8 @@ pub struct Rig {
     pub encoder: (f64, f64),
     /// whether the measured speed is that of the same angle
     pub encoder_speed: bool,
+    /// by how much the drive's sensor is off as far as a study has found it [drive unit], and how many samples it is late
+    pub drive_error: (f64, f64),
     /// what the bench file does not say and the model's file did
     pub from_model: Vec<&'static str>,
     /// what neither says, and where it begins: keys and values in SI

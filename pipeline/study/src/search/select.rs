@@ -300,6 +300,8 @@ impl Material {
                 rig.back_emf.value *= factor;
             }
         }
+        let off = |name: &str| fit::deviation(&self.nuisances, fit, name).map_or(0.0, |(n, x)| n.nominal * x);
+        bench.rig.drive_error = (off("drive_offset"), off("drive_clock"));
         let mut nuisances = self.nuisances.clone();
         for n in &mut nuisances {
             if let Some((_, factor)) = moved.iter().find(|m| m.0 == n.name) {

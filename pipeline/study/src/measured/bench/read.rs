@@ -244,6 +244,7 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Res
         controller,
         encoder: (0.0, 0.0),
         encoder_speed: false,
+        drive_error: (0.0, 0.0),
         from_model,
         assumed,
     })
