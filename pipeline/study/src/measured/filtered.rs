@@ -18,6 +18,10 @@ const STEPS_HZ: f64 = 2e4;
 /// whose speed was the angle's left 0.1 to 0.6 of it, the others at least 6 times as much), and the least lag that counts [s].
 const SHARE: f64 = 0.8;
 const LEAST_LAG_S: f64 = 3e-4;
+/// Gain in log-likelihood over the best delay from which a low pass is one all the same, on a rig (assumed): a drive that differentiates
+/// a coarse angle leaves noise that either model leaves. Of an actuator of ours the simulated loop says more, and it is told what
+/// its speed's sensor is.
+const CERTAIN: f64 = 30.0;
 
 /// How a speed is made of the angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,7 +70,9 @@ fn passed(slope: &[f64], rate_hz: f64, tau: f64, order: usize) -> Vec<f64> {
 
 /// Takes a speed that is made of the angle out of the bench and its runs.
 pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
-    let Some(made) = made_of_angle(runs) else { return };
+    let Some(made) = made_of_angle(runs, bench.own) else {
+        return;
+    };
     bench.made_of_angle = Some(made);
     bench.channels.retain(|c| c.channel != BenchChannel::Velocity);
     for r in runs {
@@ -75,7 +81,9 @@ pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
 }
 
 /// What the speed of the runs is made by, where a low pass of the angle's slope leaves far less of it than a delay does.
-fn made_of_angle(runs: &[Run]) -> Option<LowPass> {
+///
+/// * `own` the runs are of an actuator of ours
+fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
     let both = |r: &Run| -> Option<Pair> {
         let x = r.channel(BenchChannel::Position)?;
         Some(Pair {
@@ -97,7 +105,10 @@ fn made_of_angle(runs: &[Run]) -> Option<LowPass> {
         (order, tau, rest)
     });
     let (order, tau, rest) = passes.into_iter().min_by(|a, b| a.2.total_cmp(&b.2))?;
-    if rest >= SHARE * SHARE * delayed || order as f64 * tau <= LEAST_LAG_S {
+    let means: usize = pairs.iter().map(Pair::means).sum();
+    let gain = 0.5 * means as f64 * (delayed / rest.max(1e-300)).ln();
+    let is_clear = rest < SHARE * SHARE * delayed || !own && gain > CERTAIN;
+    if !is_clear || order as f64 * tau <= LEAST_LAG_S {
         return None;
     }
     let gaps = pairs.iter().flat_map(|p| {
@@ -152,9 +163,20 @@ impl Pair {
         (SETTLED_S * self.rate_hz) as usize
     }
 
+    /// Samples of a mean.
+    fn samples(&self) -> usize {
+        ((MEAN_S * self.rate_hz) as usize).max(3)
+    }
+
+    /// Means that are compared.
+    fn means(&self) -> usize {
+        let m = self.samples();
+        (self.speed.len() / m).saturating_sub(self.settled().div_ceil(m))
+    }
+
     /// Squares of the means of what is left of the speed.
     fn left(&self, of: &[f64]) -> f64 {
-        let m = ((MEAN_S * self.rate_hz) as usize).max(3);
+        let m = self.samples();
         let settled = self.settled().div_ceil(m);
         let mean = |k: usize| (k..k + m).map(|k| self.speed[k] - of[k]).sum::<f64>() / m as f64;
         (settled..self.speed.len() / m).map(|k| mean(k * m).powi(2)).sum()
