@@ -18,6 +18,10 @@ const STEPS_HZ: f64 = 2e4;
 /// whose speed was the angle's left 0.1 to 0.6 of it, the others at least 6 times as much), and the least lag that counts [s].
 const SHARE: f64 = 0.8;
 const LEAST_LAG_S: f64 = 3e-4;
+/// Over what the best delay leaves, squared, what none leaves at least (assumed: of 120 rigs of another hand the speeds that a drive makes
+/// of its angle came to 17 and more, those of a sensor of their own that is not late to 1): a low pass takes the grain of a coarse angle
+/// too, and is then nearer to a speed that is not late at all.
+const LATE: f64 = 3.0;
 /// Gain in log-likelihood over the best delay from which a low pass is one all the same, on a rig (assumed): a drive that differentiates
 /// a coarse angle leaves noise that either model leaves. Of an actuator of ours the simulated loop says more, and it is told what
 /// its speed's sensor is.
@@ -107,7 +111,8 @@ fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
     let (order, tau, rest) = passes.into_iter().min_by(|a, b| a.2.total_cmp(&b.2))?;
     let means: usize = pairs.iter().map(Pair::means).sum();
     let gain = 0.5 * means as f64 * (delayed / rest.max(1e-300)).ln();
-    let is_clear = rest < SHARE * SHARE * delayed || !own && gain > CERTAIN;
+    let is_late = left(&|p| p.delayed(0.0)) > LATE * delayed;
+    let is_clear = is_late && (rest < SHARE * SHARE * delayed || !own && gain > CERTAIN);
     if !is_clear || order as f64 * tau <= LEAST_LAG_S {
         return None;
     }
