@@ -6,6 +6,9 @@ use crate::measured::recording::extent;
 use crate::search::select::Material;
 use sim_worker::effect::{EffectKind, Equation};
 
+/// Share of a turn from which what repeats over the turn may repeat within the travel (assumed).
+const LEAST_OF_TURN: f64 = 0.25;
+
 /// Effects that the data cannot show, and why.
 pub fn not_excited(m: &Material) -> Vec<(String, String)> {
     use EffectKind as K;
@@ -58,10 +61,12 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
                 Some("no command, or no law in [rig.controller]")
             }
             K::Eccentricity if stroke < 0.5 => Some("the motor turns by less than half a radian"),
-            K::PeriodicFriction | K::Cogging | K::TorqueRipple | K::CommutationOffset | K::TurnShort
-                if stroke < std::f64::consts::TAU =>
-            {
+            K::CommutationOffset | K::TurnShort if stroke < std::f64::consts::TAU => {
                 Some("the motor turns by less than one turn")
+            }
+            // several periods of a high order are in a part of a turn
+            K::PeriodicFriction | K::Cogging | K::TorqueRipple if stroke < LEAST_OF_TURN * std::f64::consts::TAU => {
+                Some("the motor turns by less than a quarter of a turn")
             }
             K::QuadraticDrag | K::ViscousAsymmetry if slow => Some("too slow for drag to show"),
             _ => None,
