@@ -403,6 +403,53 @@ fn val_cranfield_health_is_none_and_dry_screws_are_friction() {
 }
 
 #[test]
+fn prop_of_a_channel_that_is_late_the_last_moments_are_missing() {
+    const LATE: usize = 8;
+    const MOTION: [&str; 3] = ["theta_m", "omega_m", "theta_u"];
+    let dir = tempfile::tempdir().unwrap();
+    let bench = hidden(dir.path(), 4, Class::Nothing, vec![]);
+    let text = std::fs::read_to_string(&bench).unwrap();
+    let files: Vec<&str> = text
+        .lines()
+        .filter_map(|l| l.strip_prefix("file = \"")?.strip_suffix('"'))
+        .collect();
+    let mut step_s = 0.0;
+    for file in files {
+        let csv = bench.with_file_name(file);
+        let data = std::fs::read_to_string(&csv).unwrap();
+        let rows: Vec<Vec<&str>> = data.lines().map(|l| l.split(',').collect()).collect();
+        let late = |name: &str| MOTION.contains(&name);
+        let time = rows[0].iter().position(|n| *n == "t").unwrap();
+        let at = |k: usize| rows[k][time].parse::<f64>().unwrap();
+        step_s = (at(101) - at(1)) / 100.0;
+        // to the middle of a motion
+        let line = |k: usize| {
+            let of = |(i, name): (usize, &&str)| rows[if late(name) && k > 0 { k - LATE } else { k }][i];
+            rows[0].iter().enumerate().map(of).collect::<Vec<_>>().join(",")
+        };
+        let lines: Vec<String> = [0].into_iter().chain(LATE + 1..rows.len() - 150).map(line).collect();
+        std::fs::write(&csv, lines.join("\n")).unwrap();
+    }
+    let delayed = |text: String, name: &&str| {
+        let from = format!("column = \"{name}\"");
+        text.replacen(&from, &format!("{from}, delay_s = {}", LATE as f64 * step_s), 1)
+    };
+    std::fs::write(&bench, MOTION.iter().fold(text.clone(), delayed)).unwrap();
+    let f = found(&bench);
+    for c in &f.by_channel {
+        let gap = c.heldout.as_ref().unwrap_or(&c.fit);
+        assert!(
+            gap.last < 1.4 * gap.floor,
+            "{}: {} beside {}",
+            c.channel,
+            gap.last,
+            gap.floor
+        );
+    }
+    assert!(["none", "retune"].contains(&f.verdict.as_str()), "{}", f.sentence);
+}
+
+#[test]
 fn prop_an_interrupted_clock_is_used_as_it_is_and_said() {
     let dir = tempfile::tempdir().unwrap();
     let bench = hidden(dir.path(), 3, Class::Nothing, vec![]);

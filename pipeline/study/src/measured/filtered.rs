@@ -102,6 +102,24 @@ fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
         .map(both)
         .collect();
     let pairs = pairs.filter(|p| !p.is_empty())?;
+    let (order, tau) = low_pass(&pairs, own)?;
+    let gaps = pairs.iter().flat_map(|p| {
+        let from = p.settled();
+        let made = p.passed(tau, order);
+        (from..p.speed.len()).map(move |k| p.speed[k] - made[k])
+    });
+    let (squares, samples) = gaps.fold((0.0, 0), |(e, n), gap| (e + gap * gap, n + 1));
+    Some(LowPass {
+        order,
+        corner_hz: 1.0 / (std::f64::consts::TAU * tau),
+        left_rad_per_s: (squares / f64::from(samples.max(1))).sqrt(),
+    })
+}
+
+/// Order and time constant of the low pass that makes the speeds of the angles' slopes.
+///
+/// * `own` of an actuator of ours
+fn low_pass(pairs: &[Pair], own: bool) -> Option<(usize, f64)> {
     let left = |of: &dyn Fn(&Pair) -> Vec<f64>| pairs.iter().map(|p| p.left(&of(p))).sum::<f64>();
     let (_, delayed) = least(&|t| left(&|p| p.delayed(t)));
     let passes = [1, 2].map(|order| {
@@ -116,17 +134,7 @@ fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
     if !is_clear || order as f64 * tau <= LEAST_LAG_S {
         return None;
     }
-    let gaps = pairs.iter().flat_map(|p| {
-        let from = p.settled();
-        let made = p.passed(tau, order);
-        (from..p.speed.len()).map(move |k| p.speed[k] - made[k])
-    });
-    let (squares, samples) = gaps.fold((0.0, 0), |(e, n), gap| (e + gap * gap, n + 1));
-    Some(LowPass {
-        order,
-        corner_hz: 1.0 / (std::f64::consts::TAU * tau),
-        left_rad_per_s: (squares / f64::from(samples.max(1))).sqrt(),
-    })
+    Some((order, tau))
 }
 
 /// Time of the least cost, and that cost.
@@ -194,6 +202,11 @@ mod tests {
 
     /// Jumps of a motor's speed, its angle in counts of 16 bit, and what a sensor says of the speed.
     fn jumps(rate_hz: f64, speed: impl Fn(&[f64]) -> Vec<f64>) -> Pair {
+        counted(rate_hz, 65536.0, speed)
+    }
+
+    /// The same of any counts a turn.
+    fn counted(rate_hz: f64, counts: f64, speed: impl Fn(&[f64]) -> Vec<f64>) -> Pair {
         let fine = 2e4;
         let n = 40_000;
         let w: Vec<f64> = (0..n)
@@ -202,7 +215,7 @@ mod tests {
                 300.0 * (3.0 * t).sin() + 200.0 * (1.0 - (-((t * 5.0).fract() / 0.02)).exp())
             })
             .collect();
-        let count = std::f64::consts::TAU / 65536.0;
+        let count = std::f64::consts::TAU / counts;
         let mut angle = 0.0;
         let theta: Vec<f64> = w
             .iter()
@@ -260,6 +273,21 @@ mod tests {
             let late = jumps(rate_hz, |w| (0..w.len()).map(|k| w[k.saturating_sub(30)]).collect());
             let [delay, one, two] = rests(&late);
             assert!(one.min(two) > SHARE * SHARE * delay, "{rate_hz}: {delay} {one} {two}");
+        }
+    }
+
+    #[test]
+    fn prop_a_coarse_angle_makes_no_low_pass_of_a_sensor_of_its_own() {
+        for rate_hz in [2000.0, 5000.0] {
+            // a low pass takes the grain of 60 counts a turn: nearer than any delay, and still not what the sensor is
+            let own = counted(rate_hz, 60.0, <[f64]>::to_vec);
+            let [delay, one, two] = rests(&own);
+            assert!(one.min(two) < SHARE * SHARE * delay, "{rate_hz}: {delay} {one} {two}");
+            assert_eq!(low_pass(std::slice::from_ref(&own), false), None, "{rate_hz}");
+            assert_eq!(low_pass(&[own], true), None, "{rate_hz}");
+            let tau = 1.0 / (std::f64::consts::TAU * 150.0);
+            let made = counted(rate_hz, 65536.0, |w| passed(w, 2e4, tau, 1));
+            assert!(low_pass(&[made], true).is_some_and(|m| m.0 == 1), "{rate_hz}");
         }
     }
 }
