@@ -74,7 +74,9 @@ fn passed(slope: &[f64], rate_hz: f64, tau: f64, order: usize) -> Vec<f64> {
 
 /// Takes a speed that is made of the angle out of the bench and its runs.
 pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
-    let Some(made) = made_of_angle(runs, bench.own) else {
+    // a controller that is known acts on the speed as it is recorded: the less is left out the better
+    let needed = bench.own || bench.rig.controller.is_some();
+    let Some(made) = made_of_angle(runs, needed) else {
         return;
     };
     bench.made_of_angle = Some(made);
@@ -86,8 +88,8 @@ pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
 
 /// What the speed of the runs is made by, where a low pass of the angle's slope leaves far less of it than a delay does.
 ///
-/// * `own` the runs are of an actuator of ours
-fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
+/// * `needed` as in [`low_pass`]
+fn made_of_angle(runs: &[Run], needed: bool) -> Option<LowPass> {
     let both = |r: &Run| -> Option<Pair> {
         let x = r.channel(BenchChannel::Position)?;
         Some(Pair {
@@ -102,7 +104,7 @@ fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
         .map(both)
         .collect();
     let pairs = pairs.filter(|p| !p.is_empty())?;
-    let (order, tau) = low_pass(&pairs, own)?;
+    let (order, tau) = low_pass(&pairs, needed)?;
     let gaps = pairs.iter().flat_map(|p| {
         let from = p.settled();
         let made = p.passed(tau, order);
@@ -118,8 +120,8 @@ fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
 
 /// Order and time constant of the low pass that makes the speeds of the angles' slopes.
 ///
-/// * `own` of an actuator of ours
-fn low_pass(pairs: &[Pair], own: bool) -> Option<(usize, f64)> {
+/// * `needed` they are missed where they are left out: only a share of what a delay leaves tells
+fn low_pass(pairs: &[Pair], needed: bool) -> Option<(usize, f64)> {
     let left = |of: &dyn Fn(&Pair) -> Vec<f64>| pairs.iter().map(|p| p.left(&of(p))).sum::<f64>();
     let (_, delayed) = least(&|t| left(&|p| p.delayed(t)));
     let passes = [1, 2].map(|order| {
@@ -130,7 +132,7 @@ fn low_pass(pairs: &[Pair], own: bool) -> Option<(usize, f64)> {
     let means: usize = pairs.iter().map(Pair::means).sum();
     let gain = 0.5 * means as f64 * (delayed / rest.max(1e-300)).ln();
     let is_late = left(&|p| p.delayed(0.0)) > LATE * delayed;
-    let is_clear = is_late && (rest < SHARE * SHARE * delayed || !own && gain > CERTAIN);
+    let is_clear = is_late && (rest < SHARE * SHARE * delayed || !needed && gain > CERTAIN);
     if !is_clear || order as f64 * tau <= LEAST_LAG_S {
         return None;
     }

@@ -6,7 +6,7 @@ use crate::candidates::shapes;
 use crate::equations::nuisances::{self, Nuisance};
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::{self, Problem};
-use crate::equations::signals::{self, Clock, NoiseTable};
+use crate::equations::signals::{self, Clock, MOST_DELAY_S, NoiseTable};
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Known, Noise, Role};
 use crate::measured::check;
 use crate::measured::filtered;
@@ -22,8 +22,7 @@ use std::sync::Arc;
 /// Standard deviations from which a belief about friction is given up (assumed).
 const STRANGE: f64 = 2.5;
 
-/// Greatest delay between channels that is looked for, and greatest of a round [s].
-const MOST_DELAY_S: f64 = 5e-3;
+/// Greatest delay of a round [s].
 const DELAY_STEP_S: f64 = 2.5e-3;
 /// Rounds, smallest delay that is moved for [samples], and smallest gain in log-likelihood (assumed).
 const DELAY_ROUNDS: usize = 6;
