@@ -10,24 +10,10 @@ verdict and names. Right is the exact set of names and no `unknown` (nothing hid
 
 import json
 import os
-import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 
-
-def study(ema, folder):
-    began = time.time()
-    done = subprocess.run(
-        [ema, "discrepancy", "--quiet", "--json", "--bench", os.path.join(folder, "bench.toml")],
-        capture_output=True,
-        text=True,
-        env=dict(os.environ, RAYON_NUM_THREADS="1"),
-    )
-    try:
-        return json.loads(done.stdout), time.time() - began
-    except json.JSONDecodeError:
-        return (done.stderr or done.stdout).strip(), time.time() - began
+from judge import study
 
 
 def is_right(report, case):

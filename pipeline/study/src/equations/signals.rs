@@ -34,7 +34,7 @@ const STRONG: f64 = 2.5;
 /// Greatest delay between channels that is looked for [s].
 pub const MOST_DELAY_S: f64 = 5e-3;
 
-/// Most of a run's samples that are left out at either end, as a share.
+/// Most of a run's samples that are left out at either end, as a share (assumed).
 const MOST_OF_ENDS: f64 = 0.05;
 
 /// Samples around a gap of the clock that are left out.

@@ -3,7 +3,7 @@
 use crate::equations::problem::Problem;
 use crate::measured::bench::Noise;
 use crate::search::beside::Beside;
-use crate::search::fit::{Fit, Term};
+use crate::search::fit::Fit;
 use crate::search::select::Material;
 use sim_worker::effect::{EffectKind, Equation};
 
@@ -83,20 +83,6 @@ pub fn shares(p: &Problem, before: &[f64; 5], after: &[f64; 5], residual: Option
     })
 }
 
-/// The shares as one: weighted by the logarithm of how far each equation was off.
-pub fn overall(p: &Problem, before: &[f64; 5], shares: &[Option<f64>; 5]) -> f64 {
-    let (mut sum, mut weights) = (0.0, 0.0);
-    for e in 0..5 {
-        if let Some(share) = shares[e] {
-            let n = p.rows_of(Equation::ALL[e]) as f64;
-            let weight = n * (before[e] / p.sensor_energy(e)).ln().max(0.1);
-            sum += weight * share;
-            weights += weight;
-        }
-    }
-    if weights > 0.0 { sum / weights } else { 1.0 }
-}
-
 /// Energy of the noise in the rows of an equation: that of the sensors, or what is left from row to row where that is
 /// more, but not much.
 pub fn rough_energy(p: &Problem, residual: &[f64], e: usize) -> f64 {
@@ -135,28 +121,9 @@ pub fn conclude(
     let judged = m.judged_residual(model);
     let (before, after) = (held.energy(&m.judged_residual(retuned)), held.energy(&judged));
     let by_equation = shares(held, &before, &after, Some(&judged));
-    let explained = overall(held, &before, &by_equation);
-    // an effect is not that which leaves its own equation unexplained
-    let own = |t: &Term| by_equation[t.kind.equation().index()];
-    let stranger = model.terms.iter().filter_map(own).any(|s| s < NAMED_SHARE);
-    // what else is off in equations that no effect of these touches is a remainder
-    let touched = |e: usize| model.terms.iter().any(|t| t.kind.equation().index() == e);
-    let explained = if model.terms.is_empty() {
-        explained
-    } else {
-        let all: Vec<f64> = (0..5).filter(|e| touched(*e)).filter_map(|e| by_equation[e]).collect();
-        // each effect has proven itself; where its equation as a whole was within the noise, nothing is left to explain
-        if all.is_empty() {
-            1.0
-        } else {
-            all.iter().sum::<f64>() / all.len() as f64
-        }
-    };
-    let gaps = m.over_floor(held, &after);
     // only what the sensors are known to add can be held against a name
     let drive = m.bench.channel(m.bench.rig.drive);
     let stated = drive.is_some_and(|d| matches!(d.noise, Noise::Known(_)));
-    let far = drifting(held, &m.held_residual(model), gaps[2]);
     let slow = Equation::ALL.map(|e| held.slow_energy(&judged, e, SLOW_S));
     // greatest share of an equation's energy that a table still takes
     let remainder = (0..5)
@@ -187,6 +154,17 @@ pub fn conclude(
         let verdict = if worse { Verdict::Retune } else { Verdict::None };
         return (verdict, 0.0, remainder);
     }
+    // an effect is not that which leaves its own equation unexplained
+    let touched = |e: usize| model.terms.iter().any(|t| t.kind.equation().index() == e);
+    let own: Vec<f64> = (0..5).filter(|e| touched(*e)).filter_map(|e| by_equation[e]).collect();
+    let stranger = own.iter().any(|s| *s < NAMED_SHARE);
+    // each effect has proven itself; where its equation as a whole was within the noise, nothing is left to explain
+    let explained = if own.is_empty() {
+        1.0
+    } else {
+        own.iter().sum::<f64>() / own.len() as f64
+    };
+    let far = drifting(held, &m.held_residual(model), m.over_floor(held, &after)[2]);
     // an equation that an effect has touched, or that was off before as none is in which nothing is missing
     let counts = |e: usize| {
         (before[e] - after[e]).abs() > 0.05 * before[e]
@@ -194,7 +172,7 @@ pub fn conclude(
     };
     let counted = (0..5).filter(|e| counts(*e)).filter_map(|e| by_equation[e]);
     let worst = counted.fold(1.0, |a: f64, b| a.min(b));
-    let verdict = if explained < NAMED_SHARE || stranger || far {
+    let verdict = if stranger || far {
         Verdict::Unknown
     } else if worst < CLEAN_SHARE {
         Verdict::NamedWithRemainder
