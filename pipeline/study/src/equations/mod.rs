@@ -1,3 +1,4 @@
+mod blur;
 pub mod floors;
 pub mod mechanics;
 pub mod nuisances;

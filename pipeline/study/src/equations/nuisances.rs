@@ -1,7 +1,8 @@
 //! What is fitted along with every model: constants of the machine and imperfections of its sensors, with what is
 //! believed of each; and which equations the channels open.
 
-use crate::equations::pieces::RigConstants;
+use crate::equations::blur;
+use crate::equations::pieces::{RigConstants, wide};
 use crate::equations::signals::{Clock, NoiseTable};
 use crate::measured::bench::{Bench, BenchChannel, Known};
 use crate::measured::recording::{Run, range};
@@ -14,6 +15,8 @@ const SENSOR_OFFSET: f64 = 0.1;
 /// Offset of a sensor of current or voltage over the range it saw, one sigma (assumed).
 pub const SENSOR_OFFSET_OF_RANGE: f64 = 0.002;
 const SENSOR_CLOCK: f64 = 0.15;
+/// Same of current and voltage, which one drive takes at once (assumed): to the inductance a voltage that is late is the same.
+const VOLTAGE_CLOCK: f64 = 0.03;
 /// Least offset of a voltage over its noise, one sigma (assumed): amplifiers drift more than current sensors.
 const VOLTAGE_OFFSET: f64 = 0.4;
 /// A nuisance parameter of the whole study.
@@ -119,7 +122,13 @@ pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[E
         let offset = (VOLTAGE_OFFSET * noise_of(BenchChannel::Voltage)).max(of_range);
         out.push(sensor("voltage_offset", said.unwrap_or(offset), "V"));
         out.push(sensor("voltage_gain", gain, "-"));
-        out.push(sensor("voltage_clock", SENSOR_CLOCK, "sample"));
+        out.push(sensor("voltage_clock", VOLTAGE_CLOCK, "sample"));
+        out.push(sensor("motion_clock", SENSOR_CLOCK, "sample"));
+        let blur = blur::of_inductance(bench, &all, noise);
+        if blur > 0.0 {
+            // to the rows an inductance of its own
+            out.push(sensor("between_samples", blur / wide(rig.inductance.value), "-"));
+        }
     }
     if has(Equation::Transmission) && rig.play > 0.0 {
         let play = Known {

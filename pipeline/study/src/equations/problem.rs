@@ -88,6 +88,11 @@ const FEWEST_IN_WINDOW: usize = 8;
 /// with none the inductance of such currents came out 1.5 % high, with a quarter, which suits what changes slowly, 0.7 % low.
 const AT_ENDS: f64 = 1.0 / 6.0;
 
+/// Samples in a row of the electrical equation.
+pub fn window(rate_hz: f64) -> usize {
+    ((WINDOW_S * rate_hz).round() as usize).max(FEWEST_IN_WINDOW)
+}
+
 /// Mean of a signal over the `window` samples that end at `k` (0), or its change over them a second (1).
 fn over(x: &[f64], order: usize, k: usize, window: usize, rate_hz: f64) -> f64 {
     let (before, first, after) = (x[k - window], x[k - window + 1], x[(k + 1).min(x.len() - 1)]);
@@ -125,7 +130,7 @@ impl Problem {
         let reach = bank.half();
         // the kernel has given up all weight that matters within half its reach
         let close = reach / 2;
-        let window = ((WINDOW_S * clock.rate_hz).round() as usize).max(FEWEST_IN_WINDOW);
+        let window = window(clock.rate_hz);
         let (mechanics, sensed) = mechanics(bench, all, clock, noise, excess);
         let mut blocks = Vec::new();
         let mut rows = 0;
@@ -322,7 +327,7 @@ impl Problem {
             ("inertia", Equation::Torque | Equation::Kinematic) => [("inertia", torque), NONE],
             ("torque_constant" | "drive_gain", Equation::Torque | Equation::Kinematic) => [("inertia", -torque), NONE],
             ("resistance" | "drive_gain", Equation::Electrical) => [r, NONE],
-            ("inductance", Equation::Electrical) => [l, NONE],
+            ("inductance" | "between_samples", Equation::Electrical) => [l, NONE],
             ("voltage_gain", Equation::Electrical) => [r, l],
             _ => [NONE; 2],
         }

@@ -33,6 +33,16 @@ pub fn later(x: &[f64], shift: f64) -> Vec<f64> {
     (0..x.len()).map(|k| between(x, k, shift)).collect()
 }
 
+/// The same, of any sign and length; the ends are held.
+pub fn sharp(x: &[f64], shift: f64) -> Vec<f64> {
+    let whole = (shift + 1e-9).floor();
+    let last = x.len() as i64 - 1;
+    let at = |k: usize| x[(k as i64 + whole as i64).clamp(0, last) as usize];
+    let moved: Vec<f64> = (0..x.len()).map(at).collect();
+    let share = shift - whole;
+    later(&moved, if share < 1e-9 { 0.0 } else { share })
+}
+
 /// A smoothed signal with what the smoother takes from it given back, up to the fourth power of the frequency: of a sine that was
 /// left three quarters, 99 %.
 ///

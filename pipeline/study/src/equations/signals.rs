@@ -3,7 +3,7 @@
 
 use crate::equations::phases::Phases;
 use crate::equations::pieces::true_angle;
-use crate::equations::samples::shifted;
+use crate::equations::samples::{sharp, shifted};
 use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
 use crate::measured::filter::FilterBank;
 use crate::measured::noise::{self, ChannelNoise};
@@ -74,6 +74,8 @@ pub struct Signals {
     pub theta: Vec<f64>,
     pub omega: Vec<f64>,
     pub accel: Vec<f64>,
+    /// speed over a sample [rad/s], not smoothed: a smoother takes from a speed what its current then seems to have given an inductance
+    pub within: Vec<f64>,
     /// mean over the sample of the sign of the motion
     pub sign: Vec<f64>,
     /// at rest, or turning round: the dry friction is not known
@@ -278,6 +280,7 @@ impl Signals {
             smooth: 0.0,
             theta: vec![0.0; n],
             accel: vec![0.0; n],
+            within: omega.clone(),
             sign: omega.iter().map(|w| w.signum()).collect(),
             resting: vec![false; n],
             lost: Vec::new(),
@@ -375,6 +378,7 @@ impl Signals {
             let of_angle = clock.from_position || bench.rig.encoder_speed;
             straighten(bench.rig.encoder, of_angle, &mut theta, &mut omega, &mut accel);
         }
+        let within = within(bench, run, clock, &theta);
         let (sign, mut resting) = directions(&omega, AT_REST * clock.speed_noise, (PAUSE_S * rate_hz) as usize);
         // what lies in a gap of the clock is nothing that was measured; its neighbours are left out too, as far as the smoother reaches and until the filter has found the motion again
         for k in (0..run.lost.len()).filter(|&k| run.lost[k]) {
@@ -428,6 +432,7 @@ impl Signals {
             theta,
             omega,
             accel,
+            within,
             sign,
             resting,
             lost,
@@ -458,6 +463,32 @@ impl Signals {
         }
         out
     }
+}
+
+/// Speed over each sample [rad/s], from what the angle is at its two ends, or as it is measured.
+///
+/// * `theta` angle at the common moments [rad]
+fn within(bench: &Bench, run: &Run, clock: &Clock, theta: &[f64]) -> Vec<f64> {
+    let rate_hz = clock.rate_hz;
+    let error = if bench.has_phases() {
+        (0.0, 0.0)
+    } else {
+        bench.rig.encoder
+    };
+    if let (Some(x), true) = (run.channel(BenchChannel::Position), clock.from_position) {
+        let ends = sharp(x, clock.shift(bench, BenchChannel::Position) * rate_hz + 0.5);
+        let angle: Vec<f64> = ends.iter().map(|t| true_angle(error, *t)).collect();
+        return (0..angle.len())
+            .map(|k| (angle[k] - angle[k.saturating_sub(1)]) * rate_hz)
+            .collect();
+    }
+    let speed = run
+        .channel(BenchChannel::Velocity)
+        .expect("checked: position or velocity");
+    let speed = sharp(speed, clock.shift(bench, BenchChannel::Velocity) * rate_hz);
+    let (a, b) = if bench.rig.encoder_speed { error } else { (0.0, 0.0) };
+    let slope = |t: &f64| 1.0 + a * t.cos() - b * t.sin();
+    speed.iter().zip(theta).map(|(w, t)| w / slope(t)).collect()
 }
 
 /// Takes the error of an angle sensor that is out of centre out of an angle and, where they are `of_angle`, its derivatives.

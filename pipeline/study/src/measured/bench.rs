@@ -131,6 +131,8 @@ pub struct ChannelSpec {
     pub lead: Option<f64>,
     /// mean over the sample that ends at the time stamp, rather than the value at it
     pub mean: bool,
+    /// recorded as values at the stamps, also where several of them were taken together since
+    pub of_points: bool,
     /// further delay [s]
     pub delay_s: f64,
     /// SI at the motor, 0 where it is not known

@@ -257,6 +257,7 @@ mod tests {
             unit: None,
             lead: None,
             mean: false,
+            of_points: true,
             delay_s: 0.0,
             resolution: 0.0,
             noise: Noise::Estimated,

@@ -283,7 +283,7 @@ fn unshown(m: &Material, model: &Fit, next: &Fit) -> bool {
     let excess = model.score.energy[e] - m.fit.sensor_energy(e);
     new.iter().any(Term::is_gain_of_all)
         && !m.has(BenchChannel::Load)
-        && model.score.energy[e] - next.score.energy[e] < LEAST_PART * excess.max(0.0)
+        && (excess <= 0.0 || model.score.energy[e] - next.score.energy[e] < LEAST_PART * excess)
 }
 
 /// Whether all that the new terms add to the torque is next to nothing beside the drive's, and to no other equation

@@ -1,5 +1,6 @@
 pub mod beside;
 pub mod closed_loop;
+mod delays;
 pub mod excitation;
 pub mod fit;
 pub mod intervals;

@@ -6,8 +6,8 @@ use crate::candidates::shapes;
 use crate::equations::nuisances::{self, Nuisance};
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::{self, Problem};
-use crate::equations::signals::{self, Clock, MOST_DELAY_S, NoiseTable};
-use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, Known, Noise, Role};
+use crate::equations::signals::{self, Clock, NoiseTable};
+use crate::measured::bench::{Bench, BenchChannel, Known, Noise, Role};
 use crate::measured::check;
 use crate::measured::filtered;
 use crate::measured::recording::{self, Run};
@@ -21,14 +21,6 @@ use std::sync::Arc;
 
 /// Standard deviations from which a belief about friction is given up (assumed).
 const STRANGE: f64 = 2.5;
-
-/// Greatest delay of a round [s].
-const DELAY_STEP_S: f64 = 2.5e-3;
-/// Rounds, smallest delay that is moved for [samples], and smallest gain in log-likelihood (assumed).
-const DELAY_ROUNDS: usize = 6;
-const LEAST_DELAY: f64 = 0.4;
-const LEAST_DELAY_GAIN: f64 = 8.0;
-const LEAST_VOLTAGE_DELAY: f64 = 1.5;
 
 /// All that a study works on.
 pub struct Material {
@@ -45,9 +37,9 @@ pub struct Material {
     /// effects that the model has already
     known: Vec<Effect>,
     /// torque that the model under study does not have, and what the drive does between its samples, rms [N m]
-    excess: (f64, f64),
+    pub(super) excess: (f64, f64),
     /// delays of the channels as the bench says them [s]
-    said: Vec<(BenchChannel, f64)>,
+    pub(super) said: Vec<(BenchChannel, f64)>,
 }
 
 /// A candidate after its shape was refined.
@@ -88,122 +80,13 @@ impl Material {
     }
 
     /// Set up again with another bench, other nuisances, other torque noise.
-    fn again(&self, bench: Bench, nuisances: Vec<Nuisance>, excess: (f64, f64)) -> Self {
+    pub(super) fn again(&self, bench: Bench, nuisances: Vec<Nuisance>, excess: (f64, f64)) -> Self {
         let (runs, noise, known) = (self.runs.clone(), self.noise.clone(), self.known.clone());
         let next = Self::set_up(bench, runs, noise, nuisances, known, excess);
         Self {
             said: self.said.clone(),
             ..next
         }
-    }
-
-    /// Delays between the channels that the bench does not say, found before anything else: the clocks of the
-    /// sensors are let go, and moved as long as that tells more than chance.
-    ///
-    /// * `terms` effects that are in the model already
-    pub fn on_time(self, terms: &[Term]) -> Self {
-        let clocks = [
-            ("drive_clock", self.bench.rig.drive),
-            ("velocity_clock", BenchChannel::Velocity),
-            ("voltage_clock", BenchChannel::Voltage),
-            ("user_clock", BenchChannel::UserPosition),
-        ];
-        if self.clock.steady {
-            return self;
-        }
-        let mut m = self;
-        let mut tied = m.solve(terms, m.first_sigma());
-        for _ in 0..DELAY_ROUNDS {
-            let rate = m.clock.rate_hz;
-            let mut free = m.nuisances.clone();
-            for n in free.iter_mut().filter(|n| clocks.iter().any(|c| c.0 == n.name)) {
-                n.trust = Some(MOST_DELAY_S * rate);
-            }
-            let loose = fit::solve(&m.fit, &m.constants, &free, terms, tied.sigma);
-            let mut bench = m.bench.clone();
-            let mut moved = false;
-            for (n, x) in m.nuisances.iter().zip(&loose.nuisance) {
-                let Some((_, channel)) = clocks.iter().find(|c| c.0 == n.name) else {
-                    continue;
-                };
-                // a voltage that is a little late looks like more inductance
-                let least = if *channel == BenchChannel::Voltage {
-                    LEAST_VOLTAGE_DELAY
-                } else {
-                    LEAST_DELAY
-                };
-                if x.abs() < least {
-                    continue;
-                }
-                // a column is what its channel would show a sample earlier
-                let late = -x.clamp(-DELAY_STEP_S * rate, DELAY_STEP_S * rate) / rate;
-                let spec = bench
-                    .channels
-                    .iter_mut()
-                    .find(|s| s.channel == *channel)
-                    .expect("it has a clock");
-                if (spec.delay_s + late - m.said_delay(*channel)).abs() <= MOST_DELAY_S {
-                    spec.delay_s += late;
-                    moved = true;
-                }
-            }
-            if !moved {
-                break;
-            }
-            // a drive that is late by itself, or a motion that is early beside all that is electrical
-            let together = m.with_voltage(&bench);
-            let tried = [Some(bench), together].into_iter().flatten().map(|bench| {
-                let next = m.again(bench, m.nuisances.clone(), m.excess);
-                let fit = next.solve(terms, next.first_sigma());
-                (next, fit)
-            });
-            let better =
-                |a: &(Self, Fit), b: &(Self, Fit)| a.1.score.log_likelihood.total_cmp(&b.1.score.log_likelihood);
-            let Some((next, again)) = tried.max_by(better) else {
-                break;
-            };
-            let gain = again.score.log_likelihood - tied.score.log_likelihood;
-            // what is far beyond the noise is no noise, and any shift takes a little of it
-            let beyond = |e: &Equation| again.score.energy[e.index()] / next.fit.sensor_energy(e.index()).max(1e-300);
-            let beyond = next.equations.iter().map(beyond).fold(1.0, f64::max);
-            if gain < LEAST_DELAY_GAIN * beyond {
-                break;
-            }
-            (m, tied) = (next, again);
-        }
-        m
-    }
-
-    /// The same bench, with the voltages as late as the drive became and the drive alone was not; `None` where no single
-    /// voltage was measured beside it.
-    fn with_voltage(&self, moved: &Bench) -> Option<Bench> {
-        let drive = moved.rig.drive;
-        let delay = |b: &Bench, c: BenchChannel| b.channel(c).map(|s| s.delay_s);
-        let late = delay(moved, drive)? - delay(&self.bench, drive)?;
-        if late == 0.0 || drive == BenchChannel::Voltage || self.bench.has_phases() {
-            return None;
-        }
-        let before = delay(&self.bench, BenchChannel::Voltage)?;
-        let mut bench = moved.clone();
-        for spec in &mut bench.channels {
-            match spec.channel {
-                BenchChannel::Voltage => spec.delay_s = before + late,
-                BenchChannel::VDc => spec.delay_s += late,
-                _ => {}
-            }
-        }
-        Some(bench)
-    }
-
-    /// Delay that the bench itself says [s].
-    fn said_delay(&self, c: BenchChannel) -> f64 {
-        self.said.iter().find(|s| s.0 == c).map_or(0.0, |s| s.1)
-    }
-
-    /// Delays of channels that were found beyond what the bench says [s].
-    pub fn found_delays(&self) -> Vec<(BenchChannel, f64)> {
-        let found = |s: &ChannelSpec| (s.channel, s.delay_s - self.said_delay(s.channel));
-        self.bench.channels.iter().map(found).filter(|d| d.1 != 0.0).collect()
     }
 
     fn set_up(

@@ -261,6 +261,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
             }
             model = m.polish(&m.solve(&terms, model.sigma), 1);
         }
+        (m, model) = m.needed_delays(model);
         model = needed(&m, model);
     }
     // an amplitude of the wrong sign, or one that may as well be nothing, is no effect

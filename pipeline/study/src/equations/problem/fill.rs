@@ -143,8 +143,8 @@ impl Problem {
                             .collect()
                     };
                     let volts = s.voltage.as_ref().expect("the equation is open");
-                    let (v, i_, di, w) = (mean(volts, 0), mean(&s.drive, 0), mean(&s.drive, 1), mean(&s.omega, 0));
-                    let dv = mean(volts, 1);
+                    let (v, i_, di, w) = (mean(volts, 0), mean(&s.drive, 0), mean(&s.drive, 1), mean(&s.within, 0));
+                    let (dv, dw) = (mean(volts, 1), mean(&s.omega, 1));
                     for i in 0..y.len() {
                         y[i] = v[i] - (r0 * i_[i] + l0 * di[i] + ke * w[i]);
                     }
@@ -158,6 +158,8 @@ impl Problem {
                     column("voltage_offset", &|_| 1.0);
                     column("voltage_gain", &|i| r0 * i_[i] + l0 * di[i] + ke * w[i]);
                     column("voltage_clock", &|i| dv[i] * dt);
+                    column("between_samples", &|i| wide(l0) * di[i]);
+                    column("motion_clock", &|i| ke * dw[i] * dt);
                     column("drive_offset", &|_| -r0);
                     column("drive_gain", &|i| r0 * i_[i]);
                     if let Some(v_dc) = s.supply.as_ref().filter(|_| of_winding < y.len()) {

@@ -358,6 +358,7 @@ pub(super) fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) ->
         unit: said,
         lead: rig.lead,
         mean,
+        of_points: !mean,
         delay_s,
         resolution,
         noise,
