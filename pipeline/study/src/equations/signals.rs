@@ -4,7 +4,7 @@
 use crate::equations::phases::Phases;
 use crate::equations::pieces::true_angle;
 use crate::equations::samples::{sharp, shifted};
-use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
+use crate::measured::bench::{Bench, BenchChannel, ChannelSpec, ControllerLaw};
 use crate::measured::filter::FilterBank;
 use crate::measured::noise::{self, ChannelNoise};
 use crate::measured::recording::{self, Run};
@@ -247,7 +247,10 @@ impl Clock {
 
     /// How much later than the common moment a channel's value is written down [s].
     pub(super) fn shift(&self, bench: &Bench, c: BenchChannel) -> f64 {
-        let spec = bench.channel(c).expect("only asked for channels that are there");
+        self.shift_of(bench.channel(c).expect("only asked for channels that are there"))
+    }
+
+    fn shift_of(&self, spec: &ChannelSpec) -> f64 {
         lateness(spec.mean, self.rate_hz, spec.delay_s) - self.shift_s
     }
 }
@@ -371,7 +374,10 @@ impl Signals {
                 } else {
                     &theta
                 };
-                demanded(law, command, position, &omega, rate_hz)
+                // as it is recorded, where it is no sensor's
+                let recorded = run.law_speed.as_ref().zip(bench.law_speed.as_ref());
+                let speed = recorded.map(|(x, spec)| shifted(x, clock.shift_of(spec) * rate_hz));
+                demanded(law, command, position, speed.as_ref().unwrap_or(&omega), rate_hz)
             });
         let (mut theta, mut omega, mut accel) = (theta, omega, accel);
         if bench.rig.encoder != (0.0, 0.0) && !bench.has_phases() {

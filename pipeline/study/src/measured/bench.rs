@@ -281,6 +281,8 @@ pub struct Bench {
     pub own: bool,
     /// a speed that was left out, as it is the angle's
     pub made_of_angle: Option<LowPass>,
+    /// its channel, where a known controller acts on it
+    pub law_speed: Option<ChannelSpec>,
     /// of recordings, by file and rows: where their commands jump between samples, once that is known
     pub jumps: Vec<(PathBuf, Filter, Jumps)>,
 }
@@ -394,6 +396,7 @@ impl Bench {
             effects,
             own: false,
             made_of_angle: None,
+            law_speed: None,
             jumps: Vec::new(),
         };
         bench.add_q_current();

@@ -72,24 +72,25 @@ fn passed(slope: &[f64], rate_hz: f64, tau: f64, order: usize) -> Vec<f64> {
     slope.iter().map(through).collect()
 }
 
-/// Takes a speed that is made of the angle out of the bench and its runs.
+/// Takes a speed that is made of the angle out of the bench and its runs; a controller that is known acts on it all the same.
 pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
-    // a controller that is known acts on the speed as it is recorded: the less is left out the better
-    let needed = bench.own || bench.rig.controller.is_some();
-    let Some(made) = made_of_angle(runs, needed) else {
+    let Some(made) = made_of_angle(runs, bench.own) else {
         return;
     };
     bench.made_of_angle = Some(made);
-    bench.channels.retain(|c| c.channel != BenchChannel::Velocity);
+    let at = bench.channels.iter().position(|c| c.channel == BenchChannel::Velocity);
+    let spec = at.map(|i| bench.channels.remove(i));
+    let known = bench.rig.controller.is_some();
+    bench.law_speed = spec.filter(|_| known);
     for r in runs {
-        r.leave_out(BenchChannel::Velocity);
+        r.law_speed = r.leave_out(BenchChannel::Velocity).filter(|_| known);
     }
 }
 
 /// What the speed of the runs is made by, where a low pass of the angle's slope leaves far less of it than a delay does.
 ///
-/// * `needed` as in [`low_pass`]
-fn made_of_angle(runs: &[Run], needed: bool) -> Option<LowPass> {
+/// * `own` as in [`low_pass`]
+fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
     let both = |r: &Run| -> Option<Pair> {
         let x = r.channel(BenchChannel::Position)?;
         Some(Pair {
@@ -104,7 +105,7 @@ fn made_of_angle(runs: &[Run], needed: bool) -> Option<LowPass> {
         .map(both)
         .collect();
     let pairs = pairs.filter(|p| !p.is_empty())?;
-    let (order, tau) = low_pass(&pairs, needed)?;
+    let (order, tau) = low_pass(&pairs, own)?;
     let gaps = pairs.iter().flat_map(|p| {
         let from = p.settled();
         let made = p.passed(tau, order);
@@ -120,8 +121,8 @@ fn made_of_angle(runs: &[Run], needed: bool) -> Option<LowPass> {
 
 /// Order and time constant of the low pass that makes the speeds of the angles' slopes.
 ///
-/// * `needed` they are missed where they are left out: only a share of what a delay leaves tells
-fn low_pass(pairs: &[Pair], needed: bool) -> Option<(usize, f64)> {
+/// * `own` of an actuator of ours: only a share of what a delay leaves tells
+fn low_pass(pairs: &[Pair], own: bool) -> Option<(usize, f64)> {
     let left = |of: &dyn Fn(&Pair) -> Vec<f64>| pairs.iter().map(|p| p.left(&of(p))).sum::<f64>();
     let (_, delayed) = least(&|t| left(&|p| p.delayed(t)));
     let passes = [1, 2].map(|order| {
@@ -132,7 +133,7 @@ fn low_pass(pairs: &[Pair], needed: bool) -> Option<(usize, f64)> {
     let means: usize = pairs.iter().map(Pair::means).sum();
     let gain = 0.5 * means as f64 * (delayed / rest.max(1e-300)).ln();
     let is_late = left(&|p| p.delayed(0.0)) > LATE * delayed;
-    let is_clear = is_late && (rest < SHARE * SHARE * delayed || !needed && gain > CERTAIN);
+    let is_clear = is_late && (rest < SHARE * SHARE * delayed || !own && gain > CERTAIN);
     if !is_clear || order as f64 * tau <= LEAST_LAG_S {
         return None;
     }

@@ -228,6 +228,7 @@ mod tests {
             healthy: true,
             steady: false,
             spread: BTreeMap::new(),
+            law_speed: None,
         }
     }
 

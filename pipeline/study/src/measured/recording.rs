@@ -40,14 +40,15 @@ pub fn taken_together(bench: &mut Bench, runs: &mut [Run]) {
     }
     for r in runs.iter_mut().filter(|r| !r.steady) {
         r.samples /= m;
-        for x in r.channels.values_mut() {
+        for x in r.channels.values_mut().chain(&mut r.law_speed) {
             *x = x.chunks_exact(m).map(|c| c.iter().sum::<f64>() / m as f64).collect();
         }
         r.lost = r.lost.chunks_exact(m).map(|c| c.iter().any(|l| *l)).collect();
         r.start_s += (m - 1) as f64 / r.rate_hz;
         r.rate_hz /= m as f64;
     }
-    for c in bench.channels.iter_mut().filter(|c| c.channel != BenchChannel::Time) {
+    let channels = bench.channels.iter_mut().chain(&mut bench.law_speed);
+    for c in channels.filter(|c| c.channel != BenchChannel::Time) {
         if !c.mean {
             // the mean of points that end at the stamp, as a mean over the sample: half a point early
             c.delay_s -= 0.5 / rate;
@@ -88,6 +89,8 @@ pub struct Run {
     pub steady: bool,
     /// scatter of the means at one speed
     pub spread: BTreeMap<BenchChannel, f64>,
+    /// the speed that a known controller acts on, where it is no sensor's
+    pub law_speed: Option<Vec<f64>>,
 }
 
 impl Run {
@@ -95,8 +98,8 @@ impl Run {
         self.channels.get(&c).map(Vec::as_slice)
     }
 
-    pub(super) fn leave_out(&mut self, c: BenchChannel) {
-        self.channels.remove(&c);
+    pub(super) fn leave_out(&mut self, c: BenchChannel) -> Option<Vec<f64>> {
+        self.channels.remove(&c)
     }
 
     pub fn duration_s(&self) -> f64 {
@@ -189,6 +192,7 @@ fn friction_map(bench: &Bench, spec: &RunSpec, table: &Table) -> Result<Run> {
         samples: parts.len() * PIECES,
         channels: BTreeMap::new(),
         spread: BTreeMap::new(),
+        law_speed: None,
         steady: true,
         rows,
         ..first.clone()
@@ -382,6 +386,7 @@ fn run(
         labels,
         steady: false,
         spread: BTreeMap::new(),
+        law_speed: None,
     })
 }
 

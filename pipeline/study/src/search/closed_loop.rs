@@ -7,6 +7,7 @@
 use crate::equations::nuisances::Nuisance;
 use crate::equations::signals::Signals;
 use crate::measured::bench::ControllerLaw;
+use crate::measured::filtered::LowPass;
 use crate::search::fit::{self, Fit};
 use crate::search::intervals;
 use crate::search::study::Outcome;
@@ -41,7 +42,11 @@ pub fn closed_loop(o: &Outcome) -> Vec<ClosedLoop> {
     let held = !current && m.bench.channel(m.bench.rig.drive).is_some_and(|c| !c.mean);
     let loops = [(&o.first_nuisances, &o.nominal), (&m.nuisances, &o.model)].map(|(nuisances, fit)| {
         let machine = Machine::of(o, nuisances, fit);
-        Loop::new(law, machine, 1.0 / m.clock.rate_hz, held, current)
+        let made = m.bench.law_speed.as_ref().and(m.bench.made_of_angle);
+        Loop {
+            made,
+            ..Loop::new(law, machine, 1.0 / m.clock.rate_hz, held, current)
+        }
     });
     let problems = [(Some(&m.fit), false), (m.held.as_ref(), true)];
     let problems = problems.into_iter().filter_map(|(p, heldout)| Some((p?, heldout)));
@@ -131,6 +136,8 @@ struct Loop<'a> {
     after: f64,
     /// the drive channel is a command: the law speaks once a sample, and its output is held
     held: bool,
+    /// how the law's speed is made of the angle
+    made: Option<LowPass>,
 }
 
 impl<'a> Loop<'a> {
@@ -145,6 +152,7 @@ impl<'a> Loop<'a> {
             before: law.lag_s + before,
             after: if held { (after - 0.5 * dt).max(0.0) } else { after },
             held,
+            made: None,
         }
     }
 
@@ -190,6 +198,11 @@ impl<'a> Loop<'a> {
             ..Dahl::new(e.values[0], e.values[1], 0.0)
         });
         let (mut sum, mut output) = (None, 0.0);
+        let mut passes = [omega; 2];
+        let passed = self
+            .made
+            .map_or(1.0, |m| 1.0 - (-std::f64::consts::TAU * m.corner_hz * h).exp());
+        let order = self.made.map_or(1, |m| m.order);
         for k in from..s.n {
             position[k] = theta;
             for i in 0..substeps {
@@ -199,7 +212,7 @@ impl<'a> Loop<'a> {
                     let speed = if law.differenced {
                         (theta - between(&position, at - 2.0)) / (2.0 * dt)
                     } else {
-                        omega
+                        passes[order - 1]
                     };
                     let error = reference.clamp(-law.speed_limit, law.speed_limit) - speed;
                     let first = past(at) - law.speed_gain * error;
@@ -226,6 +239,8 @@ impl<'a> Loop<'a> {
                 let after = machine.faster(&moment, bristles.as_mut(), h);
                 theta += 0.5 * h * (omega + after);
                 omega = after;
+                passes[0] += passed * (omega - passes[0]);
+                passes[1] += passed * (passes[0] - passes[1]);
             }
         }
         Some((from, drive, position))
@@ -303,6 +318,7 @@ mod tests {
             theta: q.clone(),
             omega: speed,
             accel: zero(),
+            within: zero(),
             sign: zero(),
             resting: vec![false; N],
             drive: u,

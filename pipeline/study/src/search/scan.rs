@@ -240,6 +240,7 @@ impl<'a> Scan<'a> {
         let mut shapes = shapes::grid(kind, &self.problem.signals, self.constants);
         if let Some(orders) = &self.orders.get(&kind) {
             shapes.extend(orders.iter().map(|n| vec![*n]));
+            shapes.extend(self.few_periods());
         }
         let mut scored: Vec<(Vec<f64>, Score)> = shapes
             .into_par_iter()
@@ -337,6 +338,14 @@ impl<'a> Scan<'a> {
         }
     }
 
+    /// Orders of a few periods over the stroke, which no spectrum shows where some of the stroke is seen more often than the rest.
+    fn few_periods(&self) -> impl Iterator<Item = Vec<f64>> {
+        let (low, high) = self.problem.travel();
+        let turns = ((high - low) / std::f64::consts::TAU).max(1e-9);
+        let periods = (1..).map(|i| LEAST_PERIODS + PERIOD_STEP * f64::from(i));
+        periods.take_while(|p| *p <= FEW_PERIODS).map(move |p| vec![p / turns])
+    }
+
     /// A tenth of the order that a whole turn more over the stroke makes.
     fn order_step(&self) -> f64 {
         let (low, high) = self.problem.travel();
@@ -345,7 +354,10 @@ impl<'a> Scan<'a> {
 }
 
 /// Periods over the travel from which something is seen to repeat (assumed).
-const LEAST_PERIODS: f64 = 2.0;
+const LEAST_PERIODS: f64 = 1.5;
+/// From there so many more a step, up to which all are tried (assumed).
+const PERIOD_STEP: f64 = 0.25;
+const FEW_PERIODS: f64 = 5.0;
 
 /// Whether amplitudes have the sign that physics allows.
 pub fn admissible(kind: EffectKind, amplitudes: &[f64]) -> bool {

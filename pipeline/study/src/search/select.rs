@@ -186,6 +186,9 @@ impl Material {
         bench.rig.drive_error = (off("drive_offset"), off("drive_clock"));
         let mut nuisances = self.nuisances.clone();
         for n in &mut nuisances {
+            if let ("between_samples", Some((_, factor))) = (n.name, moved.iter().find(|m| m.0 == "inductance")) {
+                n.trust = n.trust.map(|t| t / factor);
+            }
             if let Some((_, factor)) = moved.iter().find(|m| m.0 == n.name) {
                 // 1 + x_old = factor (1 + x_new)
                 n.centre = (1.0 + n.centre) / factor - 1.0;

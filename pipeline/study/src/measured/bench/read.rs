@@ -50,6 +50,9 @@ fn known(s: &mut Section, key: &str, q: Quantity, lead: Option<f64>, default: Op
     }))
 }
 
+/// Gain of a sensor of torque or force of which nothing is said, one sigma relative (assumed): were it free, no torque would be known.
+const TORQUE_GAIN: f64 = 0.01;
+
 pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
     let kind = s.text("kind", "rotary or linear")?;
     let linear = match kind.as_str() {
@@ -104,7 +107,11 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Res
     };
     let direct = matches!(drive, BenchChannel::Torque | BenchChannel::Force);
     let drive_constant = if direct {
-        known(s, "drive_constant", Quantity::DriveConstant, lead, Some(1.0))?.expect("it has a default")
+        let said = known(s, "drive_constant", Quantity::DriveConstant, lead, None)?;
+        said.unwrap_or(Known {
+            value: 1.0,
+            trust: Some(TORQUE_GAIN),
+        })
     } else {
         // of a current only: an amplifier's constant is not the motor's
         let place = if drive == BenchChannel::Current {
