@@ -7,7 +7,7 @@ use crate::search::select::Material;
 use sim_worker::effect::{EffectKind, Equation};
 
 /// Share of a turn from which what repeats over the turn may repeat within the travel (assumed).
-const LEAST_OF_TURN: f64 = 0.25;
+pub(super) const LEAST_OF_TURN: f64 = 0.25;
 
 /// Effects that the data cannot show, and why.
 pub fn not_excited(m: &Material) -> Vec<(String, String)> {

@@ -165,7 +165,7 @@ pub fn solve(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Ter
                 _ => MOST_SIGMAS,
             };
             match n0.trust {
-                Some(t) if t > 1e-8 && n.trust == n0.trust => (fit.nuisance[i] - n0.centre).abs() / (most * t),
+                Some(t) if t > 1e-8 && n.trust == n0.trust => n0.strain(fit.nuisance[i], most * t),
                 _ => 0.0,
             }
         };

@@ -143,7 +143,7 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         let more = |t: f64| (x - n.centre).abs() > (was - n.centre).abs() + t;
         counts
             && n.trust
-                .is_some_and(|t| t > 0.0 && (x - n.centre).abs() > 0.999 * fit::MOST_BELIEF * t && more(t))
+                .is_some_and(|t| t > 0.0 && n.strain(x, fit::MOST_BELIEF * t) > 0.999 && more(t))
     };
     let any = |f: &dyn Fn(&Nuisance, f64) -> bool| m.nuisances.iter().zip(&next.nuisance).any(|(n, x)| f(n, *x));
     // a load that comes loose takes its part of friction and drag with it

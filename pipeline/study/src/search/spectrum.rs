@@ -2,6 +2,7 @@
 
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
+use crate::search::excitation::LEAST_OF_TURN;
 use sim_worker::effect::Equation;
 use std::f64::consts::TAU;
 
@@ -18,11 +19,11 @@ const PEAKS: usize = 4;
 pub type Factor = fn(&Signals, usize) -> f64;
 
 /// Orders at which the residual of the torque's rows, times `factor`, stands out of its spectrum, the strongest first;
-/// none where the motor turns by less than two turns.
+/// none where the motor turns by less than a quarter of a turn.
 pub fn orders(p: &Problem, residual: &[f64], factor: Factor) -> Vec<f64> {
     let (low, high) = p.travel();
     let turns = (high - low) / TAU;
-    if turns.is_nan() || turns < 2.0 {
+    if turns.is_nan() || turns < LEAST_OF_TURN {
         return Vec::new();
     }
     // a peak is not missed if the transform is as long as twice the stroke
