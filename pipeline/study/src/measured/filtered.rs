@@ -74,7 +74,9 @@ fn passed(slope: &[f64], rate_hz: f64, tau: f64, order: usize) -> Vec<f64> {
 
 /// Takes a speed that is made of the angle out of the bench and its runs; a controller that is known acts on it all the same.
 pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
-    let Some(made) = made_of_angle(runs, bench.own) else {
+    let delay = |c: BenchChannel| bench.channel(c).map_or(0.0, |s| s.delay_s);
+    let said = delay(BenchChannel::Velocity) - delay(BenchChannel::Position);
+    let Some(made) = made_of_angle(runs, bench.own, said) else {
         return;
     };
     bench.made_of_angle = Some(made);
@@ -89,8 +91,8 @@ pub fn leave_out(bench: &mut Bench, runs: &mut [Run]) {
 
 /// What the speed of the runs is made by, where a low pass of the angle's slope leaves far less of it than a delay does.
 ///
-/// * `own` as in [`low_pass`]
-fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
+/// * `own`, `said` as in [`low_pass`]
+fn made_of_angle(runs: &[Run], own: bool, said: f64) -> Option<LowPass> {
     let both = |r: &Run| -> Option<Pair> {
         let x = r.channel(BenchChannel::Position)?;
         Some(Pair {
@@ -105,7 +107,7 @@ fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
         .map(both)
         .collect();
     let pairs = pairs.filter(|p| !p.is_empty())?;
-    let (order, tau) = low_pass(&pairs, own)?;
+    let (order, tau) = low_pass(&pairs, own, said)?;
     let gaps = pairs.iter().flat_map(|p| {
         let from = p.settled();
         let made = p.passed(tau, order);
@@ -122,7 +124,8 @@ fn made_of_angle(runs: &[Run], own: bool) -> Option<LowPass> {
 /// Order and time constant of the low pass that makes the speeds of the angles' slopes.
 ///
 /// * `own` of an actuator of ours: only a share of what a delay leaves tells
-fn low_pass(pairs: &[Pair], own: bool) -> Option<(usize, f64)> {
+/// * `said` delay of the speed behind the angle that the bench says [s]: of a sensor that is late, and no more than that
+fn low_pass(pairs: &[Pair], own: bool, said: f64) -> Option<(usize, f64)> {
     let left = |of: &dyn Fn(&Pair) -> Vec<f64>| pairs.iter().map(|p| p.left(&of(p))).sum::<f64>();
     let (_, delayed) = least(&|t| left(&|p| p.delayed(t)));
     let passes = [1, 2].map(|order| {
@@ -132,7 +135,7 @@ fn low_pass(pairs: &[Pair], own: bool) -> Option<(usize, f64)> {
     let (order, tau, rest) = passes.into_iter().min_by(|a, b| a.2.total_cmp(&b.2))?;
     let means: usize = pairs.iter().map(Pair::means).sum();
     let gain = 0.5 * means as f64 * (delayed / rest.max(1e-300)).ln();
-    let is_late = left(&|p| p.delayed(0.0)) > LATE * delayed;
+    let is_late = left(&|p| p.delayed(said.max(0.0))) > LATE * delayed;
     let is_clear = is_late && (rest < SHARE * SHARE * delayed || !own && gain > CERTAIN);
     if !is_clear || order as f64 * tau <= LEAST_LAG_S {
         return None;
@@ -286,11 +289,16 @@ mod tests {
             let own = counted(rate_hz, 60.0, <[f64]>::to_vec);
             let [delay, one, two] = rests(&own);
             assert!(one.min(two) < SHARE * SHARE * delay, "{rate_hz}: {delay} {one} {two}");
-            assert_eq!(low_pass(std::slice::from_ref(&own), false), None, "{rate_hz}");
-            assert_eq!(low_pass(&[own], true), None, "{rate_hz}");
+            assert_eq!(low_pass(std::slice::from_ref(&own), false, 0.0), None, "{rate_hz}");
+            assert_eq!(low_pass(&[own], true, 0.0), None, "{rate_hz}");
+            // late by what the bench says of it
+            let late = counted(rate_hz, 60.0, |w| {
+                (0..w.len()).map(|k| w[k.saturating_sub(30)]).collect()
+            });
+            assert_eq!(low_pass(&[late], false, 1.5e-3), None, "{rate_hz}");
             let tau = 1.0 / (std::f64::consts::TAU * 150.0);
             let made = counted(rate_hz, 65536.0, |w| passed(w, 2e4, tau, 1));
-            assert!(low_pass(&[made], true).is_some_and(|m| m.0 == 1), "{rate_hz}");
+            assert!(low_pass(&[made], true, 0.0).is_some_and(|m| m.0 == 1), "{rate_hz}");
         }
     }
 }
