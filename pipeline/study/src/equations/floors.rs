@@ -5,8 +5,8 @@ use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
 use sim_worker::effect::Equation;
 
-/// Share of an angle sensor's grain that is always left of it (assumed).
-const STANDING_GRAIN: f64 = 0.25;
+/// Share of an angle sensor's grain that is left of it where it stands, rms: anywhere within a count, one over the root of 12.
+const STANDING_GRAIN: f64 = 0.289;
 /// rms that the sensors' noise leaves in each equation.
 pub fn floors(bench: &Bench, clock: &Clock, noise: &NoiseTable, bank: &FilterBank, window: usize) -> [f64; 5] {
     use BenchChannel as C;
@@ -22,7 +22,7 @@ pub fn floors(bench: &Bench, clock: &Clock, noise: &NoiseTable, bank: &FilterBan
     } else {
         (left(C::Velocity, 0), left(C::Velocity, 1))
     };
-    let grain = |c: C| bench.channel(c).map_or(0.0, |s| s.resolution);
+    let grain = |c: C| noise.get(&c).map_or(0.0, |n| n.grain);
     let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-300);
     let kt = rig.drive_constant.value;
     let law = rig.controller.as_ref().map_or(0.0, |l| l.speed_gain);

@@ -18,6 +18,8 @@ pub struct ChannelNoise {
     pub rms: f64,
     /// correlation from sample to sample (first-order, 0 = white)
     pub colour: f64,
+    /// what its values are whole numbers of, as the bench says or as is seen; 0 where neither
+    pub grain: f64,
 }
 
 impl ChannelNoise {
@@ -40,6 +42,7 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
         return ChannelNoise {
             rms: mean.sqrt(),
             colour: 0.0,
+            grain: spec.resolution,
         };
     }
     let grain = spec.resolution / 12f64.sqrt();
@@ -48,7 +51,8 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
         Noise::Repeats => from_repeats(spec.channel, runs)
             .unwrap_or_else(|| within_range(estimated(spec.channel, runs), spec.channel, runs)),
         Noise::Estimated => {
-            let of_grain = grain_of(spec.channel, runs) / 12f64.sqrt();
+            let found = grain_of(spec.channel, runs);
+            let of_grain = found / 12f64.sqrt();
             let all = estimated(spec.channel, runs);
             let rms = if of_grain == 0.0 {
                 within_range(all, spec.channel, runs)
@@ -57,7 +61,12 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
             } else {
                 all
             };
-            return ChannelNoise { rms, colour: 0.0 };
+            let grain = found.max(spec.resolution);
+            return ChannelNoise {
+                rms,
+                colour: 0.0,
+                grain,
+            };
         }
     };
     let colour = if white > 2.0 * grain {
@@ -68,6 +77,7 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
     ChannelNoise {
         rms: white.hypot(grain),
         colour,
+        grain: spec.resolution,
     }
 }
 
@@ -271,6 +281,12 @@ mod tests {
                 (found.rms / of_count - 1.0).abs() < 1e-3,
                 "{counts}: {} {of_count}",
                 found.rms
+            );
+            // no bench says it, and a standing angle keeps it all the same
+            assert!(
+                (found.grain * counts / TAU - 1.0).abs() < 1e-3,
+                "{counts}: {}",
+                found.grain
             );
         }
     }
