@@ -1,7 +1,7 @@
 //! What sampling leaves open of an inductance: between its samples a current moves as nobody saw.
 
+use crate::equations::clock::NoiseTable;
 use crate::equations::problem::window;
-use crate::equations::signals::NoiseTable;
 use crate::measured::bench::{Bench, BenchChannel, Noise};
 use crate::measured::noise::fourth_differences;
 use crate::measured::recording::Run;

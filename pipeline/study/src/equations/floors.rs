@@ -1,6 +1,6 @@
 //! What the sensors' noise leaves in the rows of each equation.
 
-use crate::equations::signals::{Clock, NoiseTable};
+use crate::equations::clock::{Clock, NoiseTable};
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
 use sim_worker::effect::Equation;

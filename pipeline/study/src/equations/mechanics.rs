@@ -1,6 +1,7 @@
 //! The mechanics of a bench as a filter: what noise its torque and its sensors have, and the rows that follow.
 
-use crate::equations::signals::{Clock, NoiseTable, Signals};
+use crate::equations::clock::{Clock, NoiseTable};
+use crate::equations::signals::Signals;
 use crate::equations::whitener::{Design, Rows, Whitener};
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::recording::{Run, range};

@@ -1,4 +1,5 @@
 mod blur;
+pub mod clock;
 pub mod floors;
 pub mod mechanics;
 pub mod nuisances;

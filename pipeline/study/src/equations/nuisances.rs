@@ -2,8 +2,8 @@
 //! believed of each; and which equations the channels open.
 
 use crate::equations::blur;
+use crate::equations::clock::{Clock, NoiseTable};
 use crate::equations::pieces::{RigConstants, wide};
-use crate::equations::signals::{Clock, NoiseTable};
 use crate::measured::bench::{Bench, BenchChannel, Known};
 use crate::measured::recording::{Run, range};
 use sim_worker::effect::{Constants, Equation};

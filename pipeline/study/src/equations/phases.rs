@@ -1,8 +1,9 @@
 //! Currents and voltages of three phases, and the flux of each.
 
+use crate::equations::clock::Clock;
 use crate::equations::pieces::true_angle;
 use crate::equations::samples::shifted;
-use crate::equations::signals::{Clock, Signals};
+use crate::equations::signals::Signals;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::recording::{self, Run};
 use sim_worker::effect;

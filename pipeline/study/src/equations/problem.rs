@@ -3,13 +3,14 @@
 
 mod fill;
 
+use crate::equations::clock::{Clock, NoiseTable};
 use crate::equations::floors::floors;
 use crate::equations::mechanics::{Mechanics, mechanics};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::phases::{self, SUPPLY};
 use crate::equations::pieces::Column;
 use crate::equations::samples;
-use crate::equations::signals::{self, Clock, NoiseTable, Signals};
+use crate::equations::signals::{self, Signals};
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{Run, extent};

@@ -1,6 +1,6 @@
 //! Delays between the channels that a bench does not say: found before anything else, and looked at again beside what was found since.
 
-use crate::equations::signals::MOST_DELAY_S;
+use crate::equations::clock::MOST_DELAY_S;
 use crate::measured::bench::{Bench, BenchChannel, ChannelSpec};
 use crate::search::fit::{self, Fit, Term};
 use crate::search::select::Material;

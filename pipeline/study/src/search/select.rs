@@ -3,10 +3,11 @@
 
 use crate::candidates::columns;
 use crate::candidates::shapes;
+use crate::equations::clock::{Clock, NoiseTable};
 use crate::equations::nuisances::{self, Nuisance};
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::{self, Problem};
-use crate::equations::signals::{self, Clock, NoiseTable};
+use crate::equations::signals;
 use crate::measured::bench::{Bench, BenchChannel, Known, Noise, Role};
 use crate::measured::check;
 use crate::measured::filtered;
