@@ -156,6 +156,8 @@ fn prop_the_voltage_that_a_bridge_loses_is_not_the_windings() {
     let f = studied(|dir| motor.bench(dir));
     let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
     assert_eq!(names, ["dead_time"], "{}", f.sentence);
+    // of the channel in which the effect lives
+    assert!(f.sentence.contains("the gap in voltage"), "{}", f.sentence);
     let voltage = &f.effects[0].parameters[0];
     assert!(voltage.lo <= 0.4 && 0.4 <= voltage.hi, "{voltage:?}");
     holds(&f, "inductance", motor.inductance, 0.06);

@@ -444,11 +444,12 @@ fn page(f: &Findings) -> Result<String> {
     }
     facts.extend(f.facts.iter().cloned());
     let report = Report {
-        title: format!(
-            "Model against measurement: {}, {}",
-            file_name(&f.model),
-            file_name(&f.bench)
-        ),
+        title: {
+            // a rig may have no model's file
+            let files = [file_name(&f.model), file_name(&f.bench)];
+            let files: Vec<&str> = files.iter().map(|x| &x[..]).filter(|x| !x.is_empty()).collect();
+            format!("Model against measurement: {}", files.join(", "))
+        },
         lead: Some(verdict(f)),
         facts,
         sections,

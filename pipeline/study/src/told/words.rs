@@ -256,7 +256,7 @@ pub(super) fn sentence(o: &Outcome, f: &Findings) -> String {
     } else {
         "fit (there are no held-out)"
     };
-    let gap = f.gap.as_ref().map(|g| {
+    let of_gap = |g: &ChannelGap| {
         let l = g.heldout.unwrap_or(g.fit);
         format!(
             "the gap in {} on {held} data went from {} (nominal) over {} (re-tuned) to {}, with a noise floor of {}",
@@ -266,8 +266,17 @@ pub(super) fn sentence(o: &Outcome, f: &Findings) -> String {
             told("", l.last, &g.unit).trim(),
             told("", l.floor, &g.unit).trim()
         )
-    });
-    let gap = gap.unwrap_or_default();
+    };
+    // of the channels in which the effects live; without any, of the drive's
+    let lives = |g: &&ChannelGap| {
+        let mut terms = o.model.terms.iter();
+        terms.any(|t| o.material.seen_in(t.kind).name() == g.equation)
+    };
+    let mut gaps: Vec<String> = f.by_channel.iter().filter(lives).map(of_gap).collect();
+    if gaps.is_empty() {
+        gaps.extend(f.gap.as_ref().map(of_gap));
+    }
+    let gap = gaps.join("; ");
     let beside: Vec<String> = o
         .beside
         .iter()
