@@ -3,6 +3,8 @@
 
 use ema_study::told::findings::Findings;
 use pipeline::discrepancy::{Request, study_file};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -22,20 +24,9 @@ struct Motor {
 const STEPS: usize = 50;
 const RATE_HZ: f64 = 1000.0;
 
-/// Numbers from 0 to 1.
-fn uniform(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
-
-/// Noise of rms 1.
-fn noise(uniform: f64) -> f64 {
-    3f64.sqrt() * (2.0 * uniform - 1.0)
+/// Noise of rms 1, even.
+fn noise(rng: &mut ChaCha8Rng) -> f64 {
+    3f64.sqrt() * rng.random_range(-1.0..1.0)
 }
 
 impl Motor {
@@ -55,10 +46,10 @@ impl Motor {
     ///
     /// * `seed` of phases and noise
     fn recorded(&self, seed: u64, duration_s: f64) -> String {
-        let mut uniform = uniform(seed);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let sines: Vec<(f64, f64, f64)> = [0.3, 0.7, 1.9, 4.3, 11.0, 23.0]
             .into_iter()
-            .map(|hz| (hz, 1.2, TAU * uniform()))
+            .map(|hz| (hz, 1.2, rng.random_range(0.0..TAU)))
             .collect();
         let h = 1.0 / (RATE_HZ * STEPS as f64);
         let (mut i, mut w, mut theta) = (0.0_f64, 0.0_f64, 0.0_f64);
@@ -66,7 +57,7 @@ impl Motor {
         let mut step = 0.0;
         for k in 0..(duration_s * RATE_HZ) as usize {
             if k % 37 == 0 {
-                step = 3.0 * (uniform() - 0.5);
+                step = rng.random_range(-1.5..1.5);
             }
             let (mut mean_i, mut mean_v) = (0.0, 0.0);
             for s in 0..STEPS {
@@ -87,7 +78,7 @@ impl Motor {
                 mean_v += v / STEPS as f64;
             }
             let counts = (theta / TAU * 8192.0).floor() / 8192.0 * 360.0;
-            let (a, b) = (0.01 * noise(uniform()), 0.01 * noise(uniform()));
+            let (a, b) = (0.01 * noise(&mut rng), 0.01 * noise(&mut rng));
             let t = (k + 1) as f64 / RATE_HZ;
             writeln!(csv, "{t:.4},{counts},{},{}", mean_i + a, mean_v + b).unwrap();
         }
@@ -166,7 +157,7 @@ fn prop_the_voltage_that_a_bridge_loses_is_not_the_windings() {
 /// A servo that follows a speed of some sines, with a cogging; its current is read at points.
 fn servo(seed: u64, references: [(f64, f64); 3]) -> String {
     let (kt, inertia, viscous, coulomb) = (0.11, 8.3e-5, 2e-4, 0.02);
-    let mut uniform = uniform(seed);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let h = 1e-3 / 20.0;
     let (mut theta, mut w, mut sum) = (0.0_f64, 0.0_f64, 0.0_f64);
     let mut csv = String::from("time_s,pos_deg,speed_rpm,current_A\n");
@@ -176,7 +167,7 @@ fn servo(seed: u64, references: [(f64, f64); 3]) -> String {
         sum += 1e-3 * (wanted - w);
         let i = (0.02 * (wanted - w) + 0.6 * sum).clamp(-5.0, 5.0);
         let counts = (theta.to_degrees() / 0.005).round() * 0.005;
-        let (rpm, amps) = (w * 60.0 / TAU + noise(uniform()), i + 0.01 * noise(uniform()));
+        let (rpm, amps) = (w * 60.0 / TAU + noise(&mut rng), i + 0.01 * noise(&mut rng));
         writeln!(csv, "{t:.3},{counts:.3},{rpm:.6},{amps:.6}").unwrap();
         for _ in 0..20 {
             let cogging = 0.006 * (8.0 * theta + 0.4).sin();

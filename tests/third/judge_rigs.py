@@ -25,8 +25,8 @@ def is_right(report, case, also=False):
     verdict = report["verdict"]
     if case["class"] == "outside":
         return verdict == "unknown"
-    if case["class"] == "nothing":
-        return verdict in ("none", "retune") and not told or bool(told) and verdict != "unknown" and all(t & true for t in told)
+    if not told:
+        return not hidden and verdict in ("none", "retune")
     if verdict == "unknown" or len(told) < len(hidden):
         return False
 

@@ -1,19 +1,17 @@
 //! What sampling leaves open of an inductance: between its samples a current moves as nobody saw.
 
-use crate::equations::clock::NoiseTable;
-use crate::equations::problem::window;
+use crate::equations::clock::{NoiseTable, window};
 use crate::measured::bench::{Bench, BenchChannel, Noise};
 use crate::measured::noise::fourth_differences;
 use crate::measured::recording::Run;
 
-/// Time at the ends of a row by which the current's change over it is not known, over the sample, one sigma (assumed; on
-/// 40 plain rigs of another hand with constants that are means, 0.04).
+/// Time at the ends of a row by which the current's change over it is not known, over the sample, one sigma (assumed; on plain rigs of
+/// another hand whose voltages are means, 0.04).
 const ENDS: f64 = 0.05;
 /// Share of the correction for the current's noise that is not known where the noise is taken from the data (assumed).
 const NOISE: f64 = 0.5;
 
 /// Standard deviation of the inductance of one winding that more rows do not lessen [H]; 0 without its voltage, and of three phases.
-///
 pub fn of_inductance(bench: &Bench, runs: &[&Run], noise: &NoiseTable) -> f64 {
     use BenchChannel as C;
     let (Some(current), Some(voltage)) = (bench.channel(C::Current), bench.channel(C::Voltage)) else {

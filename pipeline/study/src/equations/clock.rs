@@ -18,6 +18,11 @@ pub const MOST_DELAY_S: f64 = 5e-3;
 /// Most of a run's samples that are left out at either end, as a share (assumed).
 const MOST_OF_ENDS: f64 = 0.05;
 
+/// Length of a row of the electrical equation [s], and its fewest samples (assumed): means over it leave little of
+/// the noise, and the current's change over it is known by its ends.
+const WINDOW_S: f64 = 0.006;
+const FEWEST_IN_WINDOW: usize = 8;
+
 /// Noise of each channel.
 pub type NoiseTable = BTreeMap<BenchChannel, ChannelNoise>;
 
@@ -185,4 +190,9 @@ impl Clock {
 
 fn lateness(mean: bool, rate_hz: f64, delay_s: f64) -> f64 {
     delay_s + if mean { 0.5 / rate_hz } else { 0.0 }
+}
+
+/// Samples in a row of the electrical equation.
+pub fn window(rate_hz: f64) -> usize {
+    ((WINDOW_S * rate_hz).round() as usize).max(FEWEST_IN_WINDOW)
 }

@@ -3,7 +3,7 @@
 
 mod fill;
 
-use crate::equations::clock::{Clock, NoiseTable};
+use crate::equations::clock::{self, Clock, NoiseTable};
 use crate::equations::floors::floors;
 use crate::equations::mechanics::{Mechanics, mechanics};
 use crate::equations::nuisances::Nuisance;
@@ -77,22 +77,12 @@ pub struct Problem {
 const SUPPLY_NOISE_V: (f64, f64) = (0.005, 0.02);
 /// Same of a rig, over its nominal voltage, beside what its sensor does (assumed).
 const SUPPLY_NOISE: (f64, f64) = (1e-4, 5e-3);
-/// Length of a row of the electrical equation [s], and its fewest samples (assumed): means over it leave little of
-/// the noise, and the current's change over it is known by its ends.
-const WINDOW_S: f64 = 0.006;
-const FEWEST_IN_WINDOW: usize = 8;
-
 /// Share of its neighbour that a sample at either end of a window has in the mean over it.
 ///
 /// The change over a window is known between means of two samples, so that what happens in a sample at its end counts in part.
 /// With this share the mean takes as much of a current that steps at any moment within a sample, as at each commutation;
 /// with none the inductance of such currents came out 1.5 % high, with a quarter, which suits what changes slowly, 0.7 % low.
 const AT_ENDS: f64 = 1.0 / 6.0;
-
-/// Samples in a row of the electrical equation.
-pub fn window(rate_hz: f64) -> usize {
-    ((WINDOW_S * rate_hz).round() as usize).max(FEWEST_IN_WINDOW)
-}
 
 /// Mean of a signal over the `window` samples that end at `k` (0), or its change over them a second (1).
 fn over(x: &[f64], order: usize, k: usize, window: usize, rate_hz: f64) -> f64 {
@@ -131,7 +121,7 @@ impl Problem {
         let reach = bank.half();
         // the kernel has given up all weight that matters within half its reach
         let close = reach / 2;
-        let window = window(clock.rate_hz);
+        let window = clock::window(clock.rate_hz);
         let (mechanics, sensed) = mechanics(bench, all, clock, noise, excess);
         let mut blocks = Vec::new();
         let mut rows = 0;

@@ -33,14 +33,19 @@ pub fn later(x: &[f64], shift: f64) -> Vec<f64> {
     (0..x.len()).map(|k| between(x, k, shift)).collect()
 }
 
-/// The same, of any sign and length; the ends are held.
+/// A signal that many whole samples later; the ends are held.
+pub fn moved(x: &[f64], samples: i64) -> Vec<f64> {
+    let last = x.len() as i64 - 1;
+    (0..x.len() as i64)
+        .map(|k| x[(k + samples).clamp(0, last) as usize])
+        .collect()
+}
+
+/// As [`later`], of any sign and length.
 pub fn sharp(x: &[f64], shift: f64) -> Vec<f64> {
     let whole = (shift + 1e-9).floor();
-    let last = x.len() as i64 - 1;
-    let at = |k: usize| x[(k as i64 + whole as i64).clamp(0, last) as usize];
-    let moved: Vec<f64> = (0..x.len()).map(at).collect();
     let share = shift - whole;
-    later(&moved, if share < 1e-9 { 0.0 } else { share })
+    later(&moved(x, whole as i64), if share < 1e-9 { 0.0 } else { share })
 }
 
 /// A smoothed signal with what the smoother takes from it given back, up to the fourth power of the frequency: of a sine that was

@@ -41,8 +41,9 @@ pub struct Signals {
     pub theta: Vec<f64>,
     pub omega: Vec<f64>,
     pub accel: Vec<f64>,
-    /// speed over a sample [rad/s], not smoothed: a smoother takes from a speed what its current then seems to have given an inductance
-    pub within: Vec<f64>,
+    /// speed over a sample [rad/s], not smoothed: a smoother takes from a speed what its current then seems to have given an inductance;
+    /// where the voltage of one winding is measured
+    pub within: Option<Vec<f64>>,
     /// mean over the sample of the sign of the motion
     pub sign: Vec<f64>,
     /// at rest, or turning round: the dry friction is not known
@@ -107,7 +108,7 @@ impl Signals {
             smooth: 0.0,
             theta: vec![0.0; n],
             accel: vec![0.0; n],
-            within: omega.clone(),
+            within: None,
             sign: omega.iter().map(|w| w.signum()).collect(),
             resting: vec![false; n],
             lost: Vec::new(),
@@ -204,7 +205,8 @@ impl Signals {
             let of_angle = clock.from_position || bench.rig.encoder_speed;
             straighten(bench.rig.encoder, of_angle, &mut theta, &mut omega, &mut accel);
         }
-        let within = within(bench, run, clock, &theta);
+        let one_winding = run.channel(BenchChannel::Voltage).is_some() && !bench.has_phases();
+        let within = one_winding.then(|| within(bench, run, clock, &theta));
         let (sign, mut resting) = directions(&omega, AT_REST * clock.speed_noise, (PAUSE_S * rate_hz) as usize);
         // what lies in a gap of the clock is nothing that was measured; its neighbours are left out too, as far as the smoother reaches and until the filter has found the motion again
         for k in (0..run.lost.len()).filter(|&k| run.lost[k]) {
@@ -295,12 +297,7 @@ impl Signals {
 ///
 /// * `theta` angle at the common moments [rad]
 fn within(bench: &Bench, run: &Run, clock: &Clock, theta: &[f64]) -> Vec<f64> {
-    let rate_hz = clock.rate_hz;
-    let error = if bench.has_phases() {
-        (0.0, 0.0)
-    } else {
-        bench.rig.encoder
-    };
+    let (rate_hz, error) = (clock.rate_hz, bench.rig.encoder);
     if let (Some(x), true) = (run.channel(BenchChannel::Position), clock.from_position) {
         let ends = sharp(x, clock.shift(bench, BenchChannel::Position) * rate_hz + 0.5);
         let angle: Vec<f64> = ends.iter().map(|t| true_angle(error, *t)).collect();
@@ -312,18 +309,22 @@ fn within(bench: &Bench, run: &Run, clock: &Clock, theta: &[f64]) -> Vec<f64> {
         .channel(BenchChannel::Velocity)
         .expect("checked: position or velocity");
     let speed = sharp(speed, clock.shift(bench, BenchChannel::Velocity) * rate_hz);
-    let (a, b) = if bench.rig.encoder_speed { error } else { (0.0, 0.0) };
-    let slope = |t: &f64| 1.0 + a * t.cos() - b * t.sin();
-    speed.iter().zip(theta).map(|(w, t)| w / slope(t)).collect()
+    let error = if bench.rig.encoder_speed { error } else { (0.0, 0.0) };
+    speed.iter().zip(theta).map(|(w, t)| w / slope(error, *t)).collect()
+}
+
+/// What an angle sensor that is out of centre makes of a speed, at a true angle.
+fn slope((a, b): (f64, f64), theta: f64) -> f64 {
+    // measured = t + a sin t + b cos t
+    1.0 + a * theta.cos() - b * theta.sin()
 }
 
 /// Takes the error of an angle sensor that is out of centre out of an angle and, where they are `of_angle`, its derivatives.
 fn straighten(error: (f64, f64), of_angle: bool, theta: &mut [f64], omega: &mut [f64], accel: &mut [f64]) {
     for k in 0..theta.len() {
         let t = true_angle(error, theta[k]);
-        // measured = t + a sin t + b cos t
         let (a, b) = error;
-        let slope = 1.0 + a * t.cos() - b * t.sin();
+        let slope = slope(error, t);
         theta[k] = t;
         if of_angle {
             omega[k] /= slope;

@@ -57,17 +57,41 @@ fn slope(angle: &[f64], rate_hz: f64) -> Vec<f64> {
     angle.windows(2).map(|w| (w[1] - w[0]) * rate_hz).collect()
 }
 
+/// Low passes of the first order, one after the other, as they go.
+pub struct Passes {
+    state: [f64; 2],
+    share: f64,
+    order: usize,
+}
+
+impl Passes {
+    /// * `start` what they hold
+    /// * `step` over their time constant
+    pub fn new(start: f64, step: f64, order: usize) -> Self {
+        Self {
+            state: [start; 2],
+            share: 1.0 - (-step).exp(),
+            order,
+        }
+    }
+
+    pub fn step(&mut self, x: f64) {
+        self.state[0] += self.share * (x - self.state[0]);
+        self.state[1] += self.share * (self.state[0] - self.state[1]);
+    }
+
+    pub fn value(&self) -> f64 {
+        self.state[self.order - 1]
+    }
+}
+
 /// A slope through low passes, at each sample's end.
 fn passed(slope: &[f64], rate_hz: f64, tau: f64, order: usize) -> Vec<f64> {
     let steps = (STEPS_HZ / rate_hz).ceil().max(1.0);
-    let share = 1.0 - (-1.0 / (rate_hz * steps * tau.max(1e-9))).exp();
-    let mut state = [slope[0]; 2];
+    let mut passes = Passes::new(slope[0], 1.0 / (rate_hz * steps * tau.max(1e-9)), order);
     let through = |x: &f64| {
-        for _ in 0..steps as usize {
-            state[0] += share * (x - state[0]);
-            state[1] += share * (state[0] - state[1]);
-        }
-        state[order - 1]
+        (0..steps as usize).for_each(|_| passes.step(*x));
+        passes.value()
     };
     slope.iter().map(through).collect()
 }

@@ -7,7 +7,7 @@
 use crate::equations::nuisances::Nuisance;
 use crate::equations::signals::Signals;
 use crate::measured::bench::ControllerLaw;
-use crate::measured::filtered::LowPass;
+use crate::measured::filtered::{LowPass, Passes};
 use crate::search::fit::{self, Fit};
 use crate::search::intervals;
 use crate::search::study::Outcome;
@@ -42,9 +42,8 @@ pub fn closed_loop(o: &Outcome) -> Vec<ClosedLoop> {
     let held = !current && m.bench.channel(m.bench.rig.drive).is_some_and(|c| !c.mean);
     let loops = [(&o.first_nuisances, &o.nominal), (&m.nuisances, &o.model)].map(|(nuisances, fit)| {
         let machine = Machine::of(o, nuisances, fit);
-        let made = m.bench.law_speed.as_ref().and(m.bench.made_of_angle);
         Loop {
-            made,
+            made: m.bench.made_of_angle,
             ..Loop::new(law, machine, 1.0 / m.clock.rate_hz, held, current)
         }
     });
@@ -198,11 +197,8 @@ impl<'a> Loop<'a> {
             ..Dahl::new(e.values[0], e.values[1], 0.0)
         });
         let (mut sum, mut output) = (None, 0.0);
-        let mut passes = [omega; 2];
-        let passed = self
-            .made
-            .map_or(1.0, |m| 1.0 - (-std::f64::consts::TAU * m.corner_hz * h).exp());
-        let order = self.made.map_or(1, |m| m.order);
+        let passes = |m: LowPass| Passes::new(omega, std::f64::consts::TAU * m.corner_hz * h, m.order);
+        let mut passes = self.made.map(passes);
         for k in from..s.n {
             position[k] = theta;
             for i in 0..substeps {
@@ -212,7 +208,7 @@ impl<'a> Loop<'a> {
                     let speed = if law.differenced {
                         (theta - between(&position, at - 2.0)) / (2.0 * dt)
                     } else {
-                        passes[order - 1]
+                        passes.as_ref().map_or(omega, Passes::value)
                     };
                     let error = reference.clamp(-law.speed_limit, law.speed_limit) - speed;
                     let first = past(at) - law.speed_gain * error;
@@ -239,8 +235,7 @@ impl<'a> Loop<'a> {
                 let after = machine.faster(&moment, bristles.as_mut(), h);
                 theta += 0.5 * h * (omega + after);
                 omega = after;
-                passes[0] += passed * (omega - passes[0]);
-                passes[1] += passed * (passes[0] - passes[1]);
+                passes.iter_mut().for_each(|p| p.step(omega));
             }
         }
         Some((from, drive, position))
@@ -318,7 +313,7 @@ mod tests {
             theta: q.clone(),
             omega: speed,
             accel: zero(),
-            within: zero(),
+            within: None,
             sign: zero(),
             resting: vec![false; N],
             drive: u,

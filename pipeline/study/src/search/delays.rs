@@ -110,19 +110,18 @@ impl Material {
     ///
     /// * `model` polished on this material
     pub fn needed_delays(self, model: Fit) -> (Self, Fit) {
-        let found = self.found_delays();
-        let mut groups: Vec<Vec<BenchChannel>> = vec![found.iter().map(|f| f.0).collect()];
-        for (channel, late) in &found {
-            let as_late =
-                |g: &&mut Vec<BenchChannel>| found.iter().any(|f| f.0 == g[0] && (f.1 - late).abs() < SAME_DELAY_S);
-            match groups[1..].iter_mut().find(as_late) {
-                Some(group) => group.push(*channel),
-                None => groups.push(vec![*channel]),
-            }
+        let mut rest = self.found_delays();
+        let mut groups: Vec<Vec<BenchChannel>> = Vec::new();
+        while let Some(&(_, late)) = rest.first() {
+            let (group, others): (Vec<_>, Vec<_>) = rest.into_iter().partition(|f| (f.1 - late).abs() < SAME_DELAY_S);
+            groups.push(group.into_iter().map(|f| f.0).collect());
+            rest = others;
         }
-        let several = if groups.len() > 2 { groups.len() } else { 1 };
+        if groups.len() > 1 {
+            groups.insert(0, groups.concat());
+        }
         let (mut m, mut model) = (self, model);
-        for (i, group) in groups.iter().take(several).enumerate().filter(|g| !g.1.is_empty()) {
+        for (i, group) in groups.iter().enumerate() {
             let mut bench = m.bench.clone();
             for spec in bench.channels.iter_mut().filter(|s| group.contains(&s.channel)) {
                 spec.delay_s = m.said_delay(spec.channel);

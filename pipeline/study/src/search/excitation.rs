@@ -4,10 +4,8 @@ use crate::equations::signals::Signals;
 use crate::measured::bench::BenchChannel;
 use crate::measured::recording::extent;
 use crate::search::select::Material;
+use crate::search::spectrum::LEAST_OF_TURN;
 use sim_worker::effect::{EffectKind, Equation};
-
-/// Share of a turn from which what repeats over the turn may repeat within the travel (assumed).
-pub(super) const LEAST_OF_TURN: f64 = 0.25;
 
 /// Effects that the data cannot show, and why.
 pub fn not_excited(m: &Material) -> Vec<(String, String)> {

@@ -2,10 +2,11 @@
 
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
-use crate::search::excitation::LEAST_OF_TURN;
 use sim_worker::effect::Equation;
 use std::f64::consts::TAU;
 
+/// Share of a turn from which what repeats over the turn may repeat within the travel (assumed).
+pub const LEAST_OF_TURN: f64 = 0.25;
 /// Bins in a turn, so orders up to half of it.
 const BINS: f64 = 128.0;
 /// Highest order that is looked for.

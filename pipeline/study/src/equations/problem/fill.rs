@@ -3,6 +3,7 @@
 use super::{Problem, over};
 use crate::equations::nuisances::{Nuisance, SENSOR_OFFSET_OF_RANGE};
 use crate::equations::pieces::{Column, Piece, wide};
+use crate::equations::samples::moved;
 use crate::equations::whitener::Rows;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
@@ -142,8 +143,8 @@ impl Problem {
                             .map(|&k| over(x, order, k, self.window, s.rate_hz))
                             .collect()
                     };
-                    let volts = s.voltage.as_ref().expect("the equation is open");
-                    let (v, i_, di, w) = (mean(volts, 0), mean(&s.drive, 0), mean(&s.drive, 1), mean(&s.within, 0));
+                    let (volts, turned) = s.voltage.as_ref().zip(s.within.as_ref()).expect("the equation is open");
+                    let (v, i_, di, w) = (mean(volts, 0), mean(&s.drive, 0), mean(&s.drive, 1), mean(turned, 0));
                     let (dv, dw) = (mean(volts, 1), mean(&s.omega, 1));
                     for i in 0..y.len() {
                         y[i] = v[i] - (r0 * i_[i] + l0 * di[i] + ke * w[i]);
@@ -258,14 +259,6 @@ impl Problem {
             }
         }
     }
-}
-
-/// A channel that many samples later.
-fn moved(x: &[f64], samples: i64) -> Vec<f64> {
-    let last = x.len() as i64 - 1;
-    (0..x.len() as i64)
-        .map(|k| x[(k + samples).clamp(0, last) as usize])
-        .collect()
 }
 
 /// A channel's own kernels may reach a little further than the common ones: the ends are held.
