@@ -117,3 +117,64 @@ impl Spring<'_> {
         (deflection, slip)
     }
 }
+
+/// A load mass on its spring behind a motor that is driven by a known torque. Where no second sensor sees the load, the motor's measured
+/// motion would bring its noise with it: a load that swings freely makes less torque of it, which looks like an effect. The torque's
+/// noise comes out greater.
+pub(super) struct Shaken<'a> {
+    /// [N m/rad]
+    pub(super) stiffness: f64,
+    /// [N m s/rad]
+    pub(super) damping: f64,
+    /// of the load and of the motor [kg m2]
+    pub(super) inertia: f64,
+    pub(super) motor: f64,
+    pub(super) rate_hz: f64,
+    /// torque on the motor beside the spring's [N m]
+    pub(super) torque: &'a [f64],
+    /// acceleration of the motor [rad/s2], where it is at rest or turns round: what dry friction does there nobody knows
+    pub(super) accel: &'a [f64],
+    pub(super) resting: &'a [bool],
+}
+
+impl Shaken<'_> {
+    /// Angle [rad] and speed [rad/s] of the load less the motor's; at rest in the beginning.
+    ///
+    /// * `load` torque against the load [N m]
+    /// * `more` torque on the motor beside [`Shaken::torque`] [N m]
+    pub(super) fn swings(&self, load: &[f64], more: impl Fn(usize) -> f64) -> (Vec<f64>, Vec<f64>) {
+        let n = self.torque.len();
+        let load_share = 1.0 / self.inertia.max(1e-12);
+        let both = load_share + 1.0 / self.motor.max(1e-12);
+        let substeps = ((self.stiffness * both).sqrt() / self.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
+        let dt = 1.0 / (self.rate_hz * substeps as f64);
+        // acceleration of the load less the motor's, but for the spring's
+        let pushes: Vec<f64> = (0..n)
+            .map(|k| {
+                let of_motor = if self.resting[k] {
+                    self.accel[k]
+                } else {
+                    (self.torque[k] + more(k)) / self.motor.max(1e-12)
+                };
+                -of_motor - load[k] * load_share
+            })
+            .collect();
+        let (mut x, mut w) = (0.0, 0.0);
+        let (mut deflection, mut slip) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        for k in 0..n {
+            deflection.push(x);
+            slip.push(w);
+            let share = if self.resting[k] { load_share } else { both };
+            let (stiffness, damping) = (self.stiffness * share, self.damping * share);
+            let half = 0.5 * dt;
+            for j in 0..substeps {
+                let push = between(&pushes, k, (j as f64 + 0.5) / substeps as f64);
+                // implicit midpoint rule, as for a spring that the motion drives
+                let middle = (w + half * (push - stiffness * x)) / (1.0 + half * (half * stiffness + damping));
+                w = 2.0 * middle - w;
+                x += middle * dt;
+            }
+        }
+        (deflection, slip)
+    }
+}

@@ -1,6 +1,7 @@
 //! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
 
 use crate::candidates::phases::LEGS;
+use crate::candidates::columns::BY_TORQUE;
 use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
 use crate::measured::filter::FilterBank;
@@ -75,6 +76,18 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
                 [vec![g, 1e6, 0.0]].into_iter().chain(slow)
             };
             gaps.iter().flat_map(of).collect()
+        }
+        // a resonance that only the torque shows is as narrow as its damping
+        EffectKind::Compliance if runs.iter().all(|r| r.user.is_none()) => {
+            let rate = runs[0].rate_hz;
+            let of = |f: &f64| {
+                [0.15, 0.35, 0.6].map(|share| {
+                    let j = share * c.inertia;
+                    let k = j * (TAU * f).powi(2);
+                    vec![k, 0.1 * (k * j).sqrt(), j, BY_TORQUE]
+                })
+            };
+            log(0.004 * rate, 0.09 * rate, 14).iter().flat_map(of).collect()
         }
         EffectKind::Compliance => {
             let rate = runs[0].rate_hz;
@@ -244,7 +257,7 @@ fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
         EffectKind::TightSpot => &[LIN, LOG],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
         EffectKind::CommutationOffset => &[LIN, None],
-        EffectKind::Compliance => &[LOG, LOG, LOG],
+        EffectKind::Compliance => &[LOG, LOG, LOG, None],
         EffectKind::TurnShort | EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::SupplySag => &[None],
         EffectKind::WindingHeating => &[None, LOG],
         EffectKind::DeadTime => &[LOG],
@@ -268,7 +281,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1e-3, 1e7), (0.0, 1e9), (0.0, 0.8)],
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
-        EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9)],
+        EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9), (0.0, BY_TORQUE)],
         EffectKind::WindingHeating => vec![(0.0, 2.0), (0.02, 1e3)],
         EffectKind::SupplySag => vec![(0.0, LEGS)],
         EffectKind::TurnShort

@@ -28,6 +28,8 @@ pub(super) const SLOW_EXCESS: f64 = 1.5;
 const SLOWER_PART: f64 = 0.8;
 /// Smallest share of the transmission's excess that a spring in it must explain (assumed).
 const LEAST_BENT: f64 = 0.5;
+/// Share of the torque's gap that a spring takes which only the torque shows (assumed).
+const LEAST_HEARD: f64 = 0.2;
 /// Gap of the transmission over its noise from which a load is not where it is thought to be (assumed).
 const FAR_LOOSE: f64 = 5.0;
 /// Torque over the drive's that an angle sensor's error makes at most, over the error, and orders of the turn that it makes
@@ -166,6 +168,8 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         TWICE
     } else if unbent(m, model, next) {
         "the user's side does not bend as it asks"
+    } else if unheard(m, model, next) {
+        "the torque hardly shows it, and no second sensor does"
     } else if otherwise_loose(m, model, next) {
         OTHERWISE
     } else if echoed(m, model, next) {
@@ -213,15 +217,26 @@ fn twice(m: &Material, model: &Fit, next: &Fit) -> bool {
 /// Whether a new spring in the transmission leaves most of what is off there: what it adds to the torque alone may be
 /// another inertia, another friction.
 fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
-    if !next.terms[model.terms.len()..]
-        .iter()
-        .any(|t| t.kind == EffectKind::Compliance)
-    {
+    if !sprung(model, next) || m.fit.rows_of(Equation::Transmission) == 0 {
         return false;
     }
     let e = Equation::Transmission.index();
     let (before, after, noise) = (model.score.energy[e], next.score.energy[e], m.fit.sensor_energy(e));
     before < WORTH * noise || before - after < LEAST_BENT * (before - noise)
+}
+
+/// Whether a new spring that no second sensor sees is hardly heard in the torque.
+fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
+    let e = Equation::Torque.index();
+    sprung(model, next)
+        && m.fit.rows_of(Equation::Transmission) == 0
+        && next.score.energy[e] > (1.0 - LEAST_HEARD) * model.score.energy[e]
+}
+
+/// Whether a spring is new in a model.
+fn sprung(model: &Fit, next: &Fit) -> bool {
+    let new = &next.terms[model.terms.len()..];
+    new.iter().any(|t| t.kind == EffectKind::Compliance)
 }
 
 pub(super) const OTHERWISE: &str = "the load behind spring or play does something that the list does not have";

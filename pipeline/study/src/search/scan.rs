@@ -334,8 +334,22 @@ impl<'a> Scan<'a> {
         match kind {
             EffectKind::TightSpot => shape[0] - 2.0 * shape[1] > low && shape[0] + 2.0 * shape[1] < high,
             k if shapes::has_order(k) => shape[0] * (high - low) > LEAST_PERIODS * std::f64::consts::TAU,
+            EffectKind::Compliance if self.problem.rows_of(Equation::Transmission) == 0 => self.resounds(shape),
             _ => true,
         }
+    }
+
+    /// Whether a load on its spring swings so that the torque alone shows it: what is faster than the samples follow is a torque that is
+    /// late, or is not even between them; what is damped out at once is a drag; what weighs next to nothing is noise.
+    fn resounds(&self, shape: &[f64]) -> bool {
+        let (load, motor) = (shape[2], self.constants.inertia - shape[2]);
+        if load.min(motor) < LEAST_SIDE * self.constants.inertia {
+            return false;
+        }
+        let both = 1.0 / load + 1.0 / motor;
+        let swing = (shape[0] * both).sqrt();
+        let damped = 0.5 * shape[1] * both / swing;
+        damped < MOST_DAMPED && swing < MOST_SWING * std::f64::consts::TAU * self.problem.clock.rate_hz
     }
 
     /// Orders of a few periods over the stroke, which no spectrum shows where some of the stroke is seen more often than the rest.
@@ -355,6 +369,11 @@ impl<'a> Scan<'a> {
 
 /// Periods over the travel from which something is seen to repeat (assumed).
 const LEAST_PERIODS: f64 = 1.5;
+/// Of a spring that only the torque shows (assumed): most frequency of the free resonance over that of the samples, most of its
+/// damping ratio, least share of the inertia on either side.
+const MOST_SWING: f64 = 0.1;
+const MOST_DAMPED: f64 = 0.35;
+const LEAST_SIDE: f64 = 0.05;
 /// From there so many more a step, up to which all are tried (assumed).
 const PERIOD_STEP: f64 = 0.25;
 const FEW_PERIODS: f64 = 5.0;

@@ -219,7 +219,7 @@ impl Material {
         let factor = around.constants.inertia / self.constants.inertia.max(1e-300);
         let mut terms = fit.terms.clone();
         for t in terms.iter_mut().filter(|t| t.kind == EffectKind::Compliance) {
-            t.shape.iter_mut().for_each(|x| *x *= factor);
+            t.shape.iter_mut().take(3).for_each(|x| *x *= factor);
         }
         (around, terms)
     }
@@ -266,8 +266,8 @@ impl Material {
             !silent.iter().any(|s| s.0 == k.name()) && (takes_several(*k) || !model.terms.iter().any(|t| t.kind == *k))
         };
         let kinds: Vec<EffectKind> = kinds.iter().copied().filter(open).collect();
-        // a load on its spring, beside an inertia that may be anything; only a sensor of the user's shows it
-        let spring = kinds.contains(&EffectKind::Compliance) && self.fit.signals.iter().any(|s| s.user.is_some());
+        // a load on its spring, beside an inertia that may be anything
+        let spring = kinds.contains(&EffectKind::Compliance) && !self.bench.has_phases();
         let freed = fit::beside(&nuisances, spring.then_some(EffectKind::Compliance));
         let freed = freed.map(|n| of(&n));
         let mut all: Vec<Ranked> = kinds

@@ -151,6 +151,23 @@ impl Material {
         self.polish(&self.without(model, term), 1)
     }
 
+    /// A model whose springs were found by the torque, with these driven by the measured motion where that tells the data better: the
+    /// motion is known better near a resonance, but its noise would have been taken for a spring where there is none.
+    fn by_motion(&self, model: Fit) -> Fit {
+        let mut terms = model.terms.clone();
+        let springs = terms.iter_mut().filter(|t| t.kind == EffectKind::Compliance);
+        let found = springs.filter(|t| t.shape.get(3) == Some(&columns::BY_TORQUE));
+        if found.map(|t| t.shape.truncate(3)).count() == 0 {
+            return model;
+        }
+        let moved = self.polish(&self.solve(&terms, model.sigma), 2);
+        if penalised(self, &moved) > penalised(self, &model) {
+            moved
+        } else {
+            model
+        }
+    }
+
     /// Residual of a model on the held-out runs (on the fit runs where there are none).
     pub fn held_residual(&self, fit: &Fit) -> Vec<f64> {
         match &self.held {
@@ -252,7 +269,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         if !accepted {
             break;
         }
-        model = next;
+        model = m.by_motion(next);
         for round in 0..2 {
             let terms;
             (m, terms) = m.carried(&model);
