@@ -365,10 +365,21 @@ pub fn next_command(
     actuator: Option<&Path>,
     channels: Option<&Path>,
 ) -> (Option<String>, &'static str) {
+    let contradicted = unit.filter(|(u, _)| u.contradicted().is_some());
+    if let Some((unit, _)) = contradicted {
+        let model = Some(Path::new(&unit.source)).filter(|p| p.is_file());
+        let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
+        return (
+            Some(format!(
+                "ema discrepancy --actuator {model} --bench RECORDING... --healthy --out study"
+            )),
+            "looks in recordings of the healthy unit for what its model misses",
+        );
+    }
     if let Some((unit, path)) = unit.filter(|(u, _)| u.healthy() < BASELINES) {
         let more = match unit.healthy() {
-            0 => "healthy tests of this very unit: what its model is off by is then known",
-            _ => "more healthy tests of this very unit: three or more also show what its model is off by",
+            0 => "takes in healthy tests of this very unit: what its model is off by is then known",
+            _ => "takes in more healthy tests of this very unit: three or more also show what its model is off by",
         };
         return (
             Some(format!("ema unit update {} RECORDING... --healthy", quoted(path))),

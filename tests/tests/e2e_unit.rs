@@ -3,6 +3,7 @@
 mod common;
 
 use common::process::*;
+use diagnoser::unit::{TestEntry, UnitFile};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -155,6 +156,32 @@ fn e2e_a_unit_with_a_healthy_test_is_diagnosed_relative_to_itself() {
     // and the unit still holds
     let later = diagnose(&a);
     assert!(inside(&later, "fsj", 2.6) && inside(&later, "zeta", 0.21), "{later}");
+
+    // one whose healthy tests speak against it more often than for it locates nothing
+    let mut doubted = UnitFile::load(&a).unwrap();
+    let odd_one = doubted.tests[2].clone();
+    for k in 0..2 {
+        doubted.tests.push(TestEntry {
+            checksum: format!("{k}"),
+            ..odd_one.clone()
+        });
+    }
+    let c = r.path("doubted.json");
+    doubted.save(&c).unwrap();
+    let silent = diagnose(&c);
+    assert_eq!(silent["outcome"], "unexplained", "{silent}");
+    assert!(
+        silent["reason"]
+            .as_str()
+            .unwrap()
+            .starts_with("3 of the unit's 5 healthy tests"),
+        "{silent}"
+    );
+    let next = silent["next_command"].as_str().unwrap();
+    assert!(
+        next.starts_with("ema discrepancy ") && next.contains("--healthy"),
+        "{next}"
+    );
 
     // a part is renewed: the tests stay in the history and no longer count
     std::fs::copy(&a, r.path("repaired.json")).unwrap();

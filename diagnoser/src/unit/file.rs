@@ -279,6 +279,20 @@ impl UnitFile {
         self.counted().count()
     }
 
+    /// Why nothing is to be located with it, where more of its healthy tests were refused than taken: what its model misses would be
+    /// taken for a fault.
+    pub fn contradicted(&self) -> Option<String> {
+        let refused = |t: &&TestEntry| t.healthy && !t.is_taken() && self.is_present(t);
+        let (refused, taken) = (self.tests.iter().filter(refused).count(), self.healthy());
+        (refused > taken).then(|| {
+            format!(
+                "{refused} of the unit's {} healthy tests contradict its model, which misses something of it that would be taken for \
+                 a fault: study it again (ema discrepancy), or show it healthy tests that agree with each other",
+                refused + taken
+            )
+        })
+    }
+
     /// What faults are relative to: `unit` with a healthy test, else `type`.
     pub fn reference(&self) -> &'static str {
         if self.healthy() > 0 { "unit" } else { "type" }
@@ -460,6 +474,33 @@ mod tests {
         });
         u.constants.mean[0] = 0.01 / 3.0;
         u
+    }
+
+    #[test]
+    fn prop_a_unit_is_doubted_while_more_healthy_tests_contradict_it_than_agree() {
+        let mut u = unit();
+        let healthy = |reason: &str| TestEntry {
+            healthy: true,
+            reason: reason.into(),
+            ..u.tests[0].clone()
+        };
+        let (good, refused) = (healthy(""), healthy("it contradicts the unit"));
+        assert_eq!(u.contradicted(), None);
+        u.tests.push(refused.clone());
+        assert!(
+            u.contradicted()
+                .is_some_and(|why| why.starts_with("1 of the unit's 1 "))
+        );
+        u.tests.push(good);
+        assert_eq!(u.contradicted(), None);
+        u.tests.push(refused);
+        assert!(
+            u.contradicted()
+                .is_some_and(|why| why.starts_with("2 of the unit's 3 "))
+        );
+        // what was renewed is another unit
+        u.repair(RepairedPart::Transmission, String::new());
+        assert_eq!(u.contradicted(), None);
     }
 
     #[test]

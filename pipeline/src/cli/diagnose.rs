@@ -124,6 +124,7 @@ fn refined_text(r: &Refined, case: &Case) -> String {
 fn of_unit(unit: &UnitFile) -> String {
     let (taken, healthy) = (unit.taken(), unit.healthy());
     let relative = match unit.reference() {
+        _ if unit.contradicted().is_some() => "its own healthy tests contradict its model (ema unit show UNIT)",
         "unit" => "faults are relative to the healthy unit",
         _ => "no healthy test of it: faults are relative to its type (ema unit update UNIT RECORDING --healthy)",
     };

@@ -324,10 +324,24 @@ fn unexplained(case: &Case, contradicting: &[Feature], reason: &str, around: &Ar
         Some((command, why)) => (Some(command.clone()), format!(" The next command {why}:")),
         None => (None, String::new()),
     };
+    // what speaks is the test, or the unit's own history
+    let (finding, sure, again) = if contradicting.is_empty() && case.diagnoser.is_distrusted() {
+        (
+            "The model does not describe this unit: nothing is located with it.",
+            "That the model misses something of the unit is what its own healthy tests say; what, a study of the unit may tell.",
+            "Study the unit from recordings in which it was healthy.",
+        )
+    } else {
+        (
+            "No pair of friction and eccentricity explains this test.",
+            "That the maps contradict each other is sure by far more than sensor noise; why is not known yet.",
+            "Test again, to rule out a disturbed recording.",
+        )
+    };
     Lead {
         tone: Tone::Open,
         kind: "Unexplained".into(),
-        finding: "No pair of friction and eccentricity explains this test.".into(),
+        finding: finding.into(),
         points: vec![
             point("Found", found),
             point(
@@ -336,13 +350,10 @@ fn unexplained(case: &Case, contradicting: &[Feature], reason: &str, around: &Ar
                  the recording. No fault is located, and none is excluded."
                     .into(),
             ),
-            point(
-                "How sure",
-                "That the maps contradict each other is sure by far more than sensor noise; why is not known yet.".into(),
-            ),
+            point("How sure", sure.into()),
             Point {
                 label: "What next".into(),
-                text: format!("Test again, to rule out a disturbed recording.{why}"),
+                text: format!("{again}{why}"),
                 command,
             },
         ],

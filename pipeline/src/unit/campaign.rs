@@ -165,7 +165,8 @@ pub fn found(request: &MapRequest, unit: &UnitFile, coverage: f64) -> Result<Opt
         return Ok(None);
     };
     let ready = |c: UnitCalibration| c.diagnoser(set.clone(), &unit.constants, unit.healthy(), coverage, &Vec::new());
-    Ok(kept(&dir, &set, &unit.prior(), "unit").1.map(ready).transpose()?)
+    let d = kept(&dir, &set, &unit.prior(), "unit").1.map(ready).transpose()?;
+    Ok(d.map(|d| d.distrusted(unit.contradicted())))
 }
 
 /// A unit of the prior, as shares of the half-widths of its spread.
@@ -459,7 +460,8 @@ pub fn diagnoser(setup: &TestSetup, settings: &Settings, unit: &UnitFile, known:
 /// As [`ready`].
 pub fn made(request: &MapRequest, unit: &UnitFile, coverage: f64, known: &Known) -> Result<Diagnoser> {
     let (set, calibration) = ready(request, unit)?;
-    Ok(calibration.diagnoser(set, &unit.constants, unit.healthy(), coverage, known)?)
+    let d = calibration.diagnoser(set, &unit.constants, unit.healthy(), coverage, known)?;
+    Ok(d.distrusted(unit.contradicted()))
 }
 
 /// What maps of a unit's test are made for.

@@ -187,6 +187,7 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
         settings.choice.coverage,
         &Vec::new(),
     )?;
+    let d = d.distrusted(unit.contradicted());
     let diagnosis = d.diagnose(&features, &[]);
     entry.outcome = diagnosis.outcome.name().into();
     entry.reason = diagnosis.outcome.reason().into();

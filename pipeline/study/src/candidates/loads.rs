@@ -146,7 +146,9 @@ impl Shaken<'_> {
         let n = self.torque.len();
         let load_share = 1.0 / self.inertia.max(1e-12);
         let both = load_share + 1.0 / self.motor.max(1e-12);
-        let substeps = ((self.stiffness * both).sqrt() / self.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
+        let substeps = ((self.stiffness * both).sqrt() / self.rate_hz * 6.0)
+            .ceil()
+            .clamp(1.0, 8.0) as usize;
         let dt = 1.0 / (self.rate_hz * substeps as f64);
         // acceleration of the load less the motor's, but for the spring's
         let pushes: Vec<f64> = (0..n)

@@ -1,7 +1,7 @@
 //! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
 
-use crate::candidates::phases::LEGS;
 use crate::candidates::columns::BY_TORQUE;
+use crate::candidates::phases::LEGS;
 use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
 use crate::measured::filter::FilterBank;
