@@ -238,7 +238,8 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
     let shapes = free_shapes(&fit.terms);
     let amplitudes_at = m.nuisances.len();
     let shapes_at = amplitudes_at + fit.terms.iter().map(|t| t.amplitudes.len()).sum::<usize>();
-    let kt = m.nuisances.iter().position(|n| n.name == "torque_constant");
+    let place = |name: &str| m.nuisances.iter().position(|n| n.name == name);
+    let (kt, inertia) = (place("torque_constant"), place("inertia"));
     let (mut terms, mut term_correlation) = (Vec::new(), Vec::new());
     let mut first = amplitudes_at;
     for (t, term) in fit.terms.iter().enumerate() {
@@ -277,8 +278,10 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
         let mut half = Vec::new();
         for key in 0..keys {
             let mut variance = shared(key, key);
-            // an amplitude in N m is as uncertain as the torque constant
-            if let (0, true, Some(kt)) = (key, is_torque(term.kind), kt) {
+            // an amplitude in N m is as uncertain as the torque constant, a load on its spring as the inertia that it is a share of
+            if let (true, Some(j)) = (term.kind == EffectKind::Compliance, inertia) {
+                variance += (middle.values[key] * sd(j)).powi(2);
+            } else if let (0, true, Some(kt)) = (key, is_torque(term.kind), kt) {
                 variance += (middle.values[0] * sd(kt)).powi(2);
             }
             half.push(NORMAL_95 * variance.max(0.0).sqrt());

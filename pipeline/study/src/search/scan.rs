@@ -237,6 +237,10 @@ impl<'a> Scan<'a> {
 
     /// The best shape of a kind: over its grid, then refined.
     pub fn best(&self, kind: EffectKind) -> Option<(Term, Score)> {
+        let unseen = kind == EffectKind::Compliance && self.problem.rows_of(Equation::Transmission) == 0;
+        if unseen && !self.heard() {
+            return None;
+        }
         let mut shapes = shapes::grid(kind, &self.problem.signals, self.constants);
         if let Some(orders) = &self.orders.get(&kind) {
             shapes.extend(orders.iter().map(|n| vec![*n]));
@@ -249,11 +253,19 @@ impl<'a> Scan<'a> {
             .collect();
         scored.sort_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood));
         // of a spring the nearest start leads to the nearest resonance
-        let (starts, steps) = if kind == EffectKind::Compliance {
-            (SPRINGS, 60)
-        } else {
-            (1, 40)
+        let (starts, steps) = match kind {
+            EffectKind::Compliance if unseen => (UNSEEN_SPRINGS, 40),
+            EffectKind::Compliance => (SPRINGS, 60),
+            _ => (1, 40),
         };
+        // a resonance that is there shows from far away
+        if unseen
+            && !scored
+                .last()
+                .is_some_and(|x| self.none.log_likelihood + LEAST_SHOWN < x.1.log_likelihood)
+        {
+            return None;
+        }
         let best = scored.par_iter().rev().take(starts);
         best.map(|(shape, score)| self.refined(kind, shape, score, steps))
             .max_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood))
@@ -339,6 +351,12 @@ impl<'a> Scan<'a> {
         }
     }
 
+    /// Whether more is left of the torque than its noise, so that a spring can be heard in it.
+    fn heard(&self) -> bool {
+        let noise = self.problem.sensor_energy(Equation::Torque.index());
+        self.none.energy[Equation::Torque.index()] > LEAST_NOISE * noise
+    }
+
     /// Whether a load on its spring swings so that the torque alone shows it: what is faster than the samples follow is a torque that is
     /// late, or is not even between them; what is damped out at once is a drag; what weighs next to nothing is noise.
     fn resounds(&self, shape: &[f64]) -> bool {
@@ -374,6 +392,11 @@ const LEAST_PERIODS: f64 = 1.5;
 const MOST_SWING: f64 = 0.1;
 const MOST_DAMPED: f64 = 0.35;
 const LEAST_SIDE: f64 = 0.05;
+/// Of one of these (assumed): energy of the torque's gap over that of its noise from which it is looked for, gain in log-likelihood of
+/// the best of the grid from which that is refined, and how many of the grid are.
+const LEAST_NOISE: f64 = 1.2;
+const LEAST_SHOWN: f64 = 5.0;
+const UNSEEN_SPRINGS: usize = 2;
 /// From there so many more a step, up to which all are tried (assumed).
 const PERIOD_STEP: f64 = 0.25;
 const FEW_PERIODS: f64 = 5.0;
