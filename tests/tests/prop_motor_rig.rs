@@ -1,5 +1,5 @@
 //! The study on a motor of its own equations whose current and voltage are both recorded: what smoothing, sampling and delays may
-//! not make of its winding.
+//! not make of its winding, and a load on a spring that no second sensor sees.
 
 use ema_study::told::findings::Findings;
 use pipeline::discrepancy::{Request, study_file};
@@ -18,6 +18,10 @@ struct Motor {
     coulomb: f64,
     viscous: f64,
     dead_time: f64,
+    /// of the encoder, a turn
+    counts: f64,
+    /// stiffness [N m/rad] and damping [N m s/rad] of the spring before the load, and what of the inertia is the load's [kg m2]
+    spring: Option<(f64, f64, f64)>,
 }
 
 /// Steps of the integration in a sample, and samples a second.
@@ -39,6 +43,8 @@ impl Motor {
             coulomb: 0.03,
             viscous: 1e-4,
             dead_time,
+            counts: 8192.0,
+            spring: None,
         }
     }
 
@@ -55,6 +61,7 @@ impl Motor {
         let (mut i, mut w, mut theta) = (0.0_f64, 0.0_f64, 0.0_f64);
         let mut csv = String::from("t,angle,current,voltage\n");
         let mut step = 0.0;
+        let (mut load_theta, mut load_w) = (0.0_f64, 0.0_f64);
         for k in 0..(duration_s * RATE_HZ) as usize {
             if k % 37 == 0 {
                 step = rng.random_range(-1.5..1.5);
@@ -65,8 +72,15 @@ impl Motor {
                 let v = step + sines.iter().map(|(hz, a, p)| a * (TAU * hz * t + p).sin()).sum::<f64>();
                 let lost = self.dead_time * (i / 0.02).tanh();
                 i += h * (v - lost - self.resistance * i - self.torque_constant * w) / self.inductance;
-                let push = self.torque_constant * i - self.viscous * w;
-                let moved = w + h * (push - self.coulomb * w.signum()) / self.inertia;
+                let mut push = self.torque_constant * i - self.viscous * w;
+                let mut inertia = self.inertia;
+                if let Some((stiffness, damping, load)) = self.spring {
+                    let bent = stiffness * (theta - load_theta) + damping * (w - load_w);
+                    (push, inertia) = (push - bent, inertia - load);
+                    load_w += h * bent / load;
+                    load_theta += h * load_w;
+                }
+                let moved = w + h * (push - self.coulomb * w.signum()) / inertia;
                 // dry friction stops what it would turn over
                 w = if w * moved < 0.0 && push.abs() < self.coulomb {
                     0.0
@@ -77,10 +91,10 @@ impl Motor {
                 mean_i += i / STEPS as f64;
                 mean_v += v / STEPS as f64;
             }
-            let counts = (theta / TAU * 8192.0).floor() / 8192.0 * 360.0;
+            let angle = (theta / TAU * self.counts).floor() / self.counts * 360.0;
             let (a, b) = (0.01 * noise(&mut rng), 0.01 * noise(&mut rng));
             let t = (k + 1) as f64 / RATE_HZ;
-            writeln!(csv, "{t:.4},{counts},{},{}", mean_i + a, mean_v + b).unwrap();
+            writeln!(csv, "{t:.4},{angle},{},{}", mean_i + a, mean_v + b).unwrap();
         }
         csv
     }
@@ -107,7 +121,7 @@ impl Motor {
             0.92 * self.inertia,
             1.05 * self.resistance,
             0.9 * self.inductance,
-            360.0 / 8192.0,
+            360.0 / self.counts,
         );
         let path = dir.join("bench.toml");
         std::fs::write(&path, text).unwrap();
@@ -152,6 +166,24 @@ fn prop_the_voltage_that_a_bridge_loses_is_not_the_windings() {
     let voltage = &f.effects[0].parameters[0];
     assert!(voltage.lo <= 0.4 && 0.4 <= voltage.hi, "{voltage:?}");
     holds(&f, "inductance", motor.inductance, 0.06);
+}
+
+/// Nothing but the torque shows it: the recording has no second angle.
+#[test]
+fn prop_a_load_on_its_spring_is_heard_in_the_torque() {
+    let (stiffness, damping, load) = (0.7, 4e-4, 2e-5);
+    let motor = Motor {
+        counts: 65536.0,
+        spring: Some((stiffness, damping, load)),
+        ..Motor::new(0.0)
+    };
+    let f = studied(|dir| motor.bench(dir));
+    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!(names, ["compliance"], "{}", f.sentence);
+    for (p, truth) in f.effects[0].parameters.iter().zip([stiffness, damping, load]) {
+        assert!((p.value / truth - 1.0).abs() < 0.1, "{truth}: {p:?}");
+    }
+    holds(&f, "inertia", motor.inertia, 0.05);
 }
 
 /// A servo that follows a speed of some sines, with a cogging; its current is read at points.
