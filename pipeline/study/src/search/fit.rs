@@ -20,6 +20,12 @@ pub struct Term {
 }
 
 impl Term {
+    /// The equation that it is first seen in: an error that angle and speed have alike parts no two sensors.
+    pub fn equation(&self) -> Equation {
+        let alike = self.kind == EffectKind::EncoderEccentricity && self.shape.first().is_some_and(|both| *both > 0.5);
+        if alike { Equation::Torque } else { self.kind.equation() }
+    }
+
     /// Whether it is a gain of all current sensors together, not of one phase's.
     pub fn is_gain_of_all(&self) -> bool {
         self.kind == EffectKind::CurrentGain && self.shape.is_empty()

@@ -155,7 +155,7 @@ pub fn conclude(
         return (verdict, 0.0, remainder);
     }
     // an effect is not that which leaves its own equation unexplained
-    let touched = |e: usize| model.terms.iter().any(|t| t.kind.equation().index() == e);
+    let touched = |e: usize| model.terms.iter().any(|t| t.equation().index() == e);
     let own: Vec<f64> = (0..5).filter(|e| touched(*e)).filter_map(|e| by_equation[e]).collect();
     let stranger = own.iter().any(|s| *s < NAMED_SHARE);
     // each effect has proven itself; where its equation as a whole was within the noise, nothing is left to explain
