@@ -18,8 +18,9 @@ struct Motor {
     coulomb: f64,
     viscous: f64,
     dead_time: f64,
-    /// of the encoder, a turn
+    /// of the encoder, a turn, and how far it is out of centre [rad]
     counts: f64,
+    out_of_centre: f64,
     /// stiffness [N m/rad] and damping [N m s/rad] of the spring before the load, and what of the inertia is the load's [kg m2]
     spring: Option<(f64, f64, f64)>,
 }
@@ -44,6 +45,7 @@ impl Motor {
             viscous: 1e-4,
             dead_time,
             counts: 8192.0,
+            out_of_centre: 0.0,
             spring: None,
         }
     }
@@ -91,7 +93,8 @@ impl Motor {
                 mean_i += i / STEPS as f64;
                 mean_v += v / STEPS as f64;
             }
-            let angle = (theta / TAU * self.counts).floor() / self.counts * 360.0;
+            let seen = theta + self.out_of_centre * (theta + 0.7).sin();
+            let angle = (seen / TAU * self.counts).floor() / self.counts * 360.0;
             let (a, b) = (0.01 * noise(&mut rng), 0.01 * noise(&mut rng));
             let t = (k + 1) as f64 / RATE_HZ;
             writeln!(csv, "{t:.4},{angle},{},{}", mean_i + a, mean_v + b).unwrap();
@@ -101,6 +104,14 @@ impl Motor {
 
     /// Two runs and their bench, whose constants are a little off.
     fn bench(&self, dir: &Path) -> PathBuf {
+        self.bench_with(
+            dir,
+            "voltage = { column = \"voltage\", unit = \"V\", sampling = \"mean\", noise = 0.01 }\n",
+        )
+    }
+
+    /// * `voltage` the line of that channel
+    fn bench_with(&self, dir: &Path, voltage: &str) -> PathBuf {
         for (name, seed) in [("fit", 1), ("proof", 2)] {
             std::fs::write(dir.join(format!("{name}.csv")), self.recorded(seed, 20.0)).unwrap();
         }
@@ -114,7 +125,7 @@ impl Motor {
              time = {{ column = \"t\", unit = \"s\" }}\n\
              position = {{ column = \"angle\", unit = \"deg\", resolution = {} }}\n\
              current = {{ column = \"current\", unit = \"A\", sampling = \"mean\", noise = 0.01 }}\n\
-             voltage = {{ column = \"voltage\", unit = \"V\", sampling = \"mean\", noise = 0.01 }}\n\
+             {voltage}\
              [[run]]\nfile = \"fit.csv\"\nrole = \"fit\"\nhealth = \"healthy\"\n\
              [[run]]\nfile = \"proof.csv\"\nrole = \"heldout\"\nhealth = \"healthy\"\n",
             1.01 * self.torque_constant,
@@ -184,6 +195,21 @@ fn prop_a_load_on_its_spring_is_heard_in_the_torque() {
         assert!((p.value / truth - 1.0).abs() < 0.1, "{truth}: {p:?}");
     }
     holds(&f, "inertia", motor.inertia, 0.05);
+}
+
+/// One angle and one current: the torque that the motion takes shows what the angle has too much.
+#[test]
+fn prop_an_angle_sensor_out_of_centre_is_heard_in_the_torque() {
+    let motor = Motor {
+        counts: 65536.0,
+        out_of_centre: 0.05,
+        ..Motor::new(0.0)
+    };
+    let f = studied(|dir| motor.bench_with(dir, ""));
+    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!(names, ["encoder_eccentricity"], "{}", f.sentence);
+    let amplitude = &f.effects[0].parameters[0];
+    assert!((amplitude.value / 0.05 - 1.0).abs() < 0.1, "{amplitude:?}");
 }
 
 /// A servo that follows a speed of some sines, with a cogging; its current is read at points.
