@@ -30,6 +30,8 @@ const SLOWER_PART: f64 = 0.8;
 const LEAST_BENT: f64 = 0.5;
 /// Share of the torque's gap that a spring takes which only the torque shows (assumed).
 const LEAST_HEARD: f64 = 0.2;
+/// Most damping ratio of its resonance (assumed); the search goes a little further.
+const MOST_DAMPED_SHAFT: f64 = 0.2;
 /// Gap of the transmission over its noise from which a load is not where it is thought to be (assumed).
 const FAR_LOOSE: f64 = 5.0;
 /// Torque over the drive's that an angle sensor's error makes at most, over the error, and orders of the turn that it makes
@@ -228,9 +230,13 @@ fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
 /// Whether a new spring that no second sensor sees is hardly heard in the torque.
 fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
     let e = Equation::Torque.index();
+    // what would be damped more than any shaft, if it might, is a torque that is late
+    let dull = |t: &Term| {
+        t.kind == EffectKind::Compliance && scan::resonance(&t.shape, m.constants.inertia).1 > MOST_DAMPED_SHAFT
+    };
     sprung(model, next)
         && m.fit.rows_of(Equation::Transmission) == 0
-        && next.score.energy[e] > (1.0 - LEAST_HEARD) * model.score.energy[e]
+        && (next.score.energy[e] > (1.0 - LEAST_HEARD) * model.score.energy[e] || next.terms.iter().any(dull))
 }
 
 /// Whether a spring is new in a model.

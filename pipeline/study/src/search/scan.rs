@@ -360,14 +360,11 @@ impl<'a> Scan<'a> {
     /// Whether a load on its spring swings so that the torque alone shows it: what is faster than the samples follow is a torque that is
     /// late, or is not even between them; what is damped out at once is a drag; what weighs next to nothing is noise.
     fn resounds(&self, shape: &[f64]) -> bool {
-        let (load, motor) = (shape[2], self.constants.inertia - shape[2]);
-        if load.min(motor) < LEAST_SIDE * self.constants.inertia {
-            return false;
-        }
-        let both = 1.0 / load + 1.0 / motor;
-        let swing = (shape[0] * both).sqrt();
-        let damped = 0.5 * shape[1] * both / swing;
-        damped < MOST_DAMPED && swing < MOST_SWING * std::f64::consts::TAU * self.problem.clock.rate_hz
+        let (swing, damped) = resonance(shape, self.constants.inertia);
+        let lighter = shape[2].min(self.constants.inertia - shape[2]);
+        lighter > LEAST_SIDE * self.constants.inertia
+            && damped < MOST_DAMPED
+            && swing < MOST_SWING * std::f64::consts::TAU * self.problem.clock.rate_hz
     }
 
     /// Orders of a few periods over the stroke, which no spectrum shows where some of the stroke is seen more often than the rest.
@@ -389,8 +386,8 @@ impl<'a> Scan<'a> {
 const LEAST_PERIODS: f64 = 1.5;
 /// Of a spring that only the torque shows (assumed): most frequency of the free resonance over that of the samples, most of its
 /// damping ratio, least share of the inertia on either side.
-const MOST_SWING: f64 = 0.1;
-const MOST_DAMPED: f64 = 0.35;
+const MOST_SWING: f64 = 0.08;
+const MOST_DAMPED: f64 = 0.25;
 const LEAST_SIDE: f64 = 0.05;
 /// Of one of these (assumed): energy of the torque's gap over that of its noise from which it is looked for, gain in log-likelihood of
 /// the best of the grid from which that is refined, and how many of the grid are.
@@ -400,6 +397,15 @@ const UNSEEN_SPRINGS: usize = 2;
 /// From there so many more a step, up to which all are tried (assumed).
 const PERIOD_STEP: f64 = 0.25;
 const FEW_PERIODS: f64 = 5.0;
+
+/// Free resonance of a motor and a load on its spring [rad/s], and its damping ratio.
+///
+/// * `shape` of a compliance: stiffness, damping, inertia of the load; `inertia` of both [kg m2]
+pub fn resonance(shape: &[f64], inertia: f64) -> (f64, f64) {
+    let both = 1.0 / shape[2] + 1.0 / (inertia - shape[2]).max(1e-15);
+    let swing = (shape[0] * both).sqrt();
+    (swing, 0.5 * shape[1] * both / swing)
+}
 
 /// Whether amplitudes have the sign that physics allows.
 pub fn admissible(kind: EffectKind, amplitudes: &[f64]) -> bool {
