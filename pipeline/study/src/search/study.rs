@@ -422,15 +422,21 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
         let after = m.judged_residual(model);
         let without: Vec<Fit> = (0..model.terms.len()).map(|t| m.without(model, t)).collect();
         let gain = |w: &Fit| m.lasting_gain(held, &m.judged_residual(w), &after, &model.sigma);
-        let gains: Vec<f64> = without.iter().map(gain).collect();
+        let energy = |fit: &Fit| held.energy(&m.held_residual(fit));
+        let all = energy(model);
+        // a spring that only the torque shows makes the strongest torques no worse, though these are not what proves it
+        let spoils = |t: &Term, w: &Fit| {
+            let e = Equation::Torque.index();
+            t.kind == EffectKind::Compliance && held.rows_of(Equation::Transmission) == 0 && all[e] > energy(w)[e]
+        };
+        let each = model.terms.iter().zip(&without);
+        let gains: Vec<f64> = each.map(|(t, w)| if spoils(t, w) { 0.0 } else { gain(w) }).collect();
         let worst = (0..gains.len()).min_by(|a, b| gains[*a].total_cmp(&gains[*b]));
         if let Some(t) = worst.filter(|t| gains[*t] <= 0.0) {
             unproven.push(model.terms[t].kind);
             *model = m.polish(&without[t], 1);
             continue;
         }
-        let energy = |fit: &Fit| held.energy(&m.held_residual(fit));
-        let all = energy(model);
         let proof = |(t, w): (&Term, &Fit)| {
             let e = m.seen_in(t.kind);
             (t.kind, held.rms(e, &energy(w)), held.rms(e, &all))
