@@ -365,10 +365,10 @@ pub fn next_command(
     actuator: Option<&Path>,
     channels: Option<&Path>,
 ) -> (Option<String>, &'static str) {
-    let contradicted = unit.filter(|(u, _)| u.contradicted().is_some());
-    if let Some((unit, _)) = contradicted {
-        let model = Some(Path::new(&unit.source)).filter(|p| p.is_file());
-        let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
+    let of_unit = unit.map(|(u, _)| Path::new(&u.source)).filter(|p| p.exists());
+    let model = of_unit.or(actuator);
+    let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
+    if unit.is_some_and(|(u, _)| u.contradicted().is_some()) {
         return (
             Some(format!(
                 "ema discrepancy --actuator {model} --bench RECORDING... --healthy --out study"
@@ -399,9 +399,6 @@ pub fn next_command(
             "a file of this run alone (ema dataset export) would show what is missing from the model",
         );
     }
-    let of_unit = unit.map(|(u, _)| Path::new(&u.source)).filter(|p| p.exists());
-    let model = of_unit.or(actuator);
-    let model = model.map_or(crate::discrepancy::REFERENCE.into(), quoted);
     let mapped = channels.map_or(String::new(), |c| format!(" --channels {}", quoted(c)));
     let study = format!(
         "ema discrepancy --actuator {model} --bench {}{mapped} --out study",

@@ -1,5 +1,5 @@
 //! The study on a motor of its own equations whose current and voltage are both recorded: what smoothing, sampling and delays may
-//! not make of its winding, and a load on a spring that no second sensor sees.
+//! not make of its winding; a load on a spring and an angle sensor out of centre that no second sensor sees.
 
 use ema_study::told::findings::Findings;
 use pipeline::discrepancy::{Request, study_file};

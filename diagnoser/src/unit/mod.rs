@@ -154,6 +154,15 @@ impl UnitCalibration {
         Diagnoser::with_factors(maps, self.of(healthy), coverage, &factors)
     }
 
+    /// Maps made ready for a unit as its file knows it: of one that its own healthy tests contradict they locate nothing.
+    ///
+    /// # Errors
+    /// As [`Diagnoser::new`].
+    pub fn of_file(&self, maps: FailureMapSet, unit: &UnitFile, coverage: f64, known: &Known) -> Result<Diagnoser> {
+        let d = self.diagnoser(maps, &unit.constants, unit.healthy(), coverage, known)?;
+        Ok(d.distrusted(unit.contradicted()))
+    }
+
     /// Writes it as one JSON object, whole or not at all.
     ///
     /// # Errors

@@ -164,9 +164,8 @@ pub fn found(request: &MapRequest, unit: &UnitFile, coverage: f64) -> Result<Opt
     let Ok(set) = FailureMapSet::load(&maps::cache_file(request)?) else {
         return Ok(None);
     };
-    let ready = |c: UnitCalibration| c.diagnoser(set.clone(), &unit.constants, unit.healthy(), coverage, &Vec::new());
-    let d = kept(&dir, &set, &unit.prior(), "unit").1.map(ready).transpose()?;
-    Ok(d.map(|d| d.distrusted(unit.contradicted())))
+    let ready = |c: UnitCalibration| c.of_file(set.clone(), unit, coverage, &Vec::new());
+    Ok(kept(&dir, &set, &unit.prior(), "unit").1.map(ready).transpose()?)
 }
 
 /// A unit of the prior, as shares of the half-widths of its spread.
@@ -460,8 +459,7 @@ pub fn diagnoser(setup: &TestSetup, settings: &Settings, unit: &UnitFile, known:
 /// As [`ready`].
 pub fn made(request: &MapRequest, unit: &UnitFile, coverage: f64, known: &Known) -> Result<Diagnoser> {
     let (set, calibration) = ready(request, unit)?;
-    let d = calibration.diagnoser(set, &unit.constants, unit.healthy(), coverage, known)?;
-    Ok(d.distrusted(unit.contradicted()))
+    Ok(calibration.of_file(set, unit, coverage, known)?)
 }
 
 /// What maps of a unit's test are made for.

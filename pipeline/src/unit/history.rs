@@ -180,14 +180,7 @@ pub fn show(unit: &mut UnitFile, path: &Path, healthy: bool, settings: &Settings
         relearn(unit, kinds)?;
         return Ok(Shown::Taken);
     }
-    let d = calibration.diagnoser(
-        set.clone(),
-        &unit.constants,
-        unit.healthy(),
-        settings.choice.coverage,
-        &Vec::new(),
-    )?;
-    let d = d.distrusted(unit.contradicted());
+    let d = calibration.of_file(set.clone(), unit, settings.choice.coverage, &Vec::new())?;
     let diagnosis = d.diagnose(&features, &[]);
     entry.outcome = diagnosis.outcome.name().into();
     entry.reason = diagnosis.outcome.reason().into();

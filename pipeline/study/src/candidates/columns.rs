@@ -1,11 +1,12 @@
 //! The candidate effects driven by measured signals: for given shape parameters, what each would
 //! add to the equations. The equations themselves stand in `sim_worker::effect`.
 
-use crate::candidates::loads::{Shaken, Spring, loose, released};
+use crate::candidates::loads::loose;
 use crate::candidates::phases::{LEGS, of_phases};
+use crate::candidates::springs;
 use crate::equations::phases::SUPPLY;
-use crate::equations::pieces::{Column, Piece, RigConstants, wide};
-use crate::equations::samples::{rate_of, sharpened, shifted};
+use crate::equations::pieces::{Column, Piece, RigConstants};
+use crate::equations::samples::{rate_of, shifted};
 use crate::equations::signals::Signals;
 use sim_worker::effect::{self, Draw, Effect, EffectKind, Equation, Reads};
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -52,7 +53,7 @@ pub fn form(kind: EffectKind) -> Form {
 }
 
 /// The drive's signal without what its sensor adds: a ripple of it would be a torque that goes with the angle alone.
-fn drive(s: &Signals, c: &RigConstants, k: usize) -> f64 {
+pub(super) fn drive(s: &Signals, c: &RigConstants, k: usize) -> f64 {
     let (offset, late) = c.drive_error;
     s.drive[k] - offset - late / s.rate_hz * s.drive_rate[k]
 }
@@ -186,50 +187,6 @@ fn encoder(s: &Signals, c: &RigConstants, both: bool, f: fn(f64) -> f64) -> Colu
         add(Equation::Controller, 2, times(c.speed_gain));
     }
     column
-}
-
-/// Fourth shape parameter of a spring that the torque drives, not the measured motion.
-pub const BY_TORQUE: f64 = 1.0;
-
-/// A load on its spring that no sensor sees: what the motor's angle and speed have of it.
-fn shaken(shape: &[f64], s: &Signals, c: &RigConstants, out: &mut Contribution) {
-    let friction = |k: usize| [c.effect.viscous * s.omega[k], c.effect.coulomb * s.sign[k]];
-    let torque: Vec<f64> = (0..s.n)
-        .map(|k| c.effect.torque_constant * drive(s, c, k) - friction(k).iter().sum::<f64>())
-        .collect();
-    let motor = c.inertia - shape[2];
-    if motor <= 0.0 {
-        return;
-    }
-    let spring = Shaken {
-        stiffness: shape[0],
-        damping: shape[1],
-        inertia: shape[2],
-        motor,
-        rate_hz: s.rate_hz,
-        torque: &torque,
-        accel: &s.accel,
-        resting: &s.resting,
-    };
-    let behind = -shape[2] / c.inertia.max(1e-15);
-    let pieces = |(deflection, slip): (Vec<f64>, Vec<f64>)| -> Column {
-        let share = |x: Vec<f64>| x.iter().map(|x| behind * x).collect();
-        vec![
-            Piece::of(Equation::Kinematic, 0, share(deflection)),
-            Piece::of(Equation::Kinematic, 1, share(slip)),
-        ]
-    };
-    let base = spring.swings(&s.load, |_| 0.0);
-    // drag and dry friction behind the spring, as a share of what there is in all
-    for (torque, most) in [(&s.omega, c.effect.viscous), (&s.sign, c.effect.coulomb)] {
-        let moved: Vec<f64> = torque.iter().map(|t| wide(most) * t).collect();
-        let both: Vec<f64> = s.load.iter().zip(&moved).map(|(l, t)| l + t).collect();
-        let (mut x, mut w) = spring.swings(&both, |k| moved[k]);
-        x.iter_mut().zip(&base.0).for_each(|(x, b)| *x -= b);
-        w.iter_mut().zip(&base.1).for_each(|(w, b)| *w -= b);
-        out.linear.push(pieces((x, w)));
-    }
-    out.fixed.extend(pieces(base));
 }
 
 /// What `kind` with the shape parameters `shape` would add; empty where the channels it needs are not there.
@@ -391,51 +348,7 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         }
         // of phases the simulated loop says it
         EffectKind::Compliance if s.user.is_none() && s.phases.is_some() => {}
-        EffectKind::Compliance if shape.get(3) == Some(&BY_TORQUE) => shaken(shape, s, c, &mut out),
-        EffectKind::Compliance => {
-            let (motion, speed) = (sharpened(&s.theta, s.smooth), sharpened(&s.omega, s.smooth));
-            let spring = Spring {
-                stiffness: shape[0],
-                damping: shape[1],
-                inertia: shape[2],
-                rate_hz: s.rate_hz,
-                motion: &motion,
-                speed: &speed,
-            };
-            let start = released(s, &spring);
-            let moved = |load: &[f64]| spring.swings(start, load, s.n);
-            // torque drives the common centre of both masses, from which the motor is off by the load's share of the inertia
-            let behind = -shape[2] / c.inertia.max(1e-15);
-            let pieces = |(deflection, slip): (Vec<f64>, Vec<f64>)| -> Column {
-                let share = |x: &[f64]| x.iter().map(|x| behind * x).collect();
-                vec![
-                    Piece::of(Equation::Kinematic, 0, share(&deflection)),
-                    Piece::of(Equation::Kinematic, 1, share(&slip)),
-                    Piece::of(Equation::Transmission, 0, deflection),
-                ]
-            };
-            // the play follows the load, not the motor
-            let of_play = |deflection: &[f64]| -> Piece {
-                let load: Vec<f64> = s.theta.iter().zip(deflection).map(|(t, d)| t + d).collect();
-                let (with, without) = (s.played(&load, c.play), s.played(&s.theta, c.play));
-                let lags = with.iter().zip(&load).zip(without.iter().zip(&s.theta));
-                let more = lags.map(|((f, x), (f0, t))| (f - x) - (f0 - t)).collect();
-                Piece::of(Equation::Transmission, 0, more)
-            };
-            let base = moved(&s.load);
-            // drag and dry friction behind the spring, as a share of what there is in all
-            for (torque, most) in [(&s.omega, c.effect.viscous), (&s.sign, c.effect.coulomb)] {
-                let both: Vec<f64> = s.load.iter().zip(torque).map(|(l, t)| l + wide(most) * t).collect();
-                let (mut x, mut w) = moved(&both);
-                x.iter_mut().zip(&base.0).for_each(|(x, b)| *x -= b);
-                w.iter_mut().zip(&base.1).for_each(|(w, b)| *w -= b);
-                out.linear.push(pieces((x, w)));
-            }
-            if c.play > 0.0 {
-                out.fixed.push(of_play(&base.0));
-            }
-            out.fixed.extend(pieces(base));
-        }
+        EffectKind::Compliance => return springs::contribution(shape, s, c),
         EffectKind::TorqueSaturation => {
             // linear while the torque still rises with the current
             let mut column = amplitude(&[SMALL]);

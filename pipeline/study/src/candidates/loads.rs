@@ -1,4 +1,4 @@
-//! Loads behind a play or a spring, driven by the motor's measured motion.
+//! Loads behind a play or a spring, driven by the motor's measured motion or by its torque.
 
 use crate::equations::samples::between;
 use crate::equations::signals::Signals;
@@ -72,6 +72,20 @@ pub(super) fn released(s: &Signals, spring: &Spring<'_>) -> (f64, f64) {
     (1e-3 * x[0], x[1])
 }
 
+/// Steps in a sample that follow a resonance.
+fn substeps(natural_rad_s: f64, rate_hz: f64) -> usize {
+    (natural_rad_s / rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize
+}
+
+/// A step of a mass on its spring by the implicit midpoint rule: no damping but the spring's own.
+///
+/// * `push` on it at the step's beginning, but for the damping of its own speed
+fn midpoint((x, w): (f64, f64), push: f64, (stiffness, damping, inertia): (f64, f64, f64), dt: f64) -> (f64, f64) {
+    let half = 0.5 * dt / inertia;
+    let middle = (w + half * push) / (1.0 + half * (0.5 * dt * stiffness + damping));
+    (x + middle * dt, 2.0 * middle - w)
+}
+
 /// A load mass on its spring, driven by the motor's measured motion.
 pub(super) struct Spring<'a> {
     /// [N m/rad]
@@ -93,8 +107,7 @@ impl Spring<'_> {
     /// * `load` torque against the load [N m]
     pub(super) fn swings(&self, (x0, w0): (f64, f64), load: &[f64], n: usize) -> (Vec<f64>, Vec<f64>) {
         let (motion, speed) = (self.motion, self.speed);
-        let natural = (self.stiffness / self.inertia.max(1e-12)).sqrt();
-        let substeps = (natural / self.rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize;
+        let substeps = substeps((self.stiffness / self.inertia.max(1e-12)).sqrt(), self.rate_hz);
         let dt = 1.0 / (self.rate_hz * substeps as f64);
         let (mut x, mut w) = (motion[0] + x0, speed[0] + w0);
         let (mut deflection, mut slip) = (Vec::with_capacity(n), Vec::with_capacity(n));
@@ -105,13 +118,9 @@ impl Spring<'_> {
             for j in 0..substeps {
                 let share = (j as f64 + 0.5) / substeps as f64;
                 let (theta, omega) = (between(motion, k, share), between(speed, k, share));
-                // implicit midpoint rule: no damping but the spring's own
                 let load = load[k] + share * (load[next] - load[k]);
-                let half = 0.5 * dt / self.inertia;
                 let push = self.stiffness * (theta - x) + self.damping * omega - load;
-                let middle = (w + half * push) / (1.0 + half * (0.5 * dt * self.stiffness + self.damping));
-                w = 2.0 * middle - w;
-                x += middle * dt;
+                (x, w) = midpoint((x, w), push, (self.stiffness, self.damping, self.inertia), dt);
             }
         }
         (deflection, slip)
@@ -142,13 +151,11 @@ impl Shaken<'_> {
     ///
     /// * `load` torque against the load [N m]
     /// * `more` torque on the motor beside [`Shaken::torque`] [N m]
-    pub(super) fn swings(&self, load: &[f64], more: impl Fn(usize) -> f64) -> (Vec<f64>, Vec<f64>) {
+    pub(super) fn swings(&self, load: &[f64], more: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let n = self.torque.len();
         let load_share = 1.0 / self.inertia.max(1e-12);
         let both = load_share + 1.0 / self.motor.max(1e-12);
-        let substeps = ((self.stiffness * both).sqrt() / self.rate_hz * 6.0)
-            .ceil()
-            .clamp(1.0, 8.0) as usize;
+        let substeps = substeps((self.stiffness * both).sqrt(), self.rate_hz);
         let dt = 1.0 / (self.rate_hz * substeps as f64);
         // acceleration of the load less the motor's, but for the spring's
         let pushes: Vec<f64> = (0..n)
@@ -156,7 +163,7 @@ impl Shaken<'_> {
                 let of_motor = if self.resting[k] {
                     self.accel[k]
                 } else {
-                    (self.torque[k] + more(k)) / self.motor.max(1e-12)
+                    (self.torque[k] + more[k]) / self.motor.max(1e-12)
                 };
                 -of_motor - load[k] * load_share
             })
@@ -168,13 +175,9 @@ impl Shaken<'_> {
             slip.push(w);
             let share = if self.resting[k] { load_share } else { both };
             let (stiffness, damping) = (self.stiffness * share, self.damping * share);
-            let half = 0.5 * dt;
             for j in 0..substeps {
                 let push = between(&pushes, k, (j as f64 + 0.5) / substeps as f64);
-                // implicit midpoint rule, as for a spring that the motion drives
-                let middle = (w + half * (push - stiffness * x)) / (1.0 + half * (half * stiffness + damping));
-                w = 2.0 * middle - w;
-                x += middle * dt;
+                (x, w) = midpoint((x, w), push - stiffness * x, (stiffness, damping, 1.0), dt);
             }
         }
         (deflection, slip)

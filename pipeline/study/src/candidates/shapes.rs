@@ -1,7 +1,7 @@
 //! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
 
-use crate::candidates::columns::BY_TORQUE;
 use crate::candidates::phases::LEGS;
+use crate::candidates::springs::BY_TORQUE;
 use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
 use crate::measured::filter::FilterBank;
@@ -81,11 +81,8 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         EffectKind::Compliance if runs.iter().all(|r| r.user.is_none()) => {
             let rate = runs[0].rate_hz;
             let of = |f: &f64| {
-                [0.15, 0.35, 0.6].map(|share| {
-                    let j = share * c.inertia;
-                    let k = j * (TAU * f).powi(2);
-                    vec![k, 0.1 * (k * j).sqrt(), j, BY_TORQUE]
-                })
+                let by_torque = |share| [&tuned(*f, share * c.inertia)[..], &[BY_TORQUE]].concat();
+                [0.15, 0.35, 0.6].map(by_torque)
             };
             log(0.004 * rate, 0.09 * rate, 14).iter().flat_map(of).collect()
         }
@@ -106,11 +103,7 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
                 }
             }
             for f in log(0.004 * rate, 0.12 * rate, 8) {
-                for share in [0.25, 0.6] {
-                    let j = share * c.inertia;
-                    let k = j * (TAU * f).powi(2);
-                    out.push(vec![k, 0.1 * (k * j).sqrt(), j]);
-                }
+                out.extend([0.25, 0.6].map(|share| tuned(f, share * c.inertia).to_vec()));
             }
             out
         }
@@ -206,6 +199,12 @@ fn swinging(runs: &[Signals], corner_hz: f64) -> Option<(f64, f64)> {
         let natural = natural.sqrt();
         (natural, slowing.clamp(0.02 * natural, 2.0 * natural))
     })
+}
+
+/// Stiffness, damping and inertia of a load that swings at `f` [Hz] on a motor that stands.
+fn tuned(f: f64, inertia: f64) -> [f64; 3] {
+    let stiffness = inertia * (TAU * f).powi(2);
+    [stiffness, 0.1 * (stiffness * inertia).sqrt(), inertia]
 }
 
 /// Stiffness and load inertia from the measured deflection, as a spring without dynamics shows it.

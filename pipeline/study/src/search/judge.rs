@@ -1,6 +1,7 @@
 //! Whether a candidate is taken, by the fit runs alone, and whether what one model gains over another lasts.
 
 use crate::candidates::shapes;
+use crate::candidates::springs;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::measured::bench::BenchChannel;
@@ -219,7 +220,7 @@ fn twice(m: &Material, model: &Fit, next: &Fit) -> bool {
 /// Whether a new spring in the transmission leaves most of what is off there: what it adds to the torque alone may be
 /// another inertia, another friction.
 fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
-    if !sprung(model, next) || m.fit.rows_of(Equation::Transmission) == 0 {
+    if !sprung(model, next) || !m.fit.sees_user() {
         return false;
     }
     let e = Equation::Transmission.index();
@@ -232,10 +233,10 @@ fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
     let e = Equation::Torque.index();
     // what would be damped more than any shaft, if it might, is a torque that is late
     let dull = |t: &Term| {
-        t.kind == EffectKind::Compliance && scan::resonance(&t.shape, m.constants.inertia).1 > MOST_DAMPED_SHAFT
+        t.kind == EffectKind::Compliance && springs::resonance(&t.shape, m.constants.inertia).1 > MOST_DAMPED_SHAFT
     };
     sprung(model, next)
-        && m.fit.rows_of(Equation::Transmission) == 0
+        && !m.fit.sees_user()
         && (next.score.energy[e] > (1.0 - LEAST_HEARD) * model.score.energy[e] || next.terms.iter().any(dull))
 }
 

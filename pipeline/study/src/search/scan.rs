@@ -2,6 +2,7 @@
 
 use crate::candidates::columns::{self, Form};
 use crate::candidates::shapes;
+use crate::candidates::springs::resonance;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
@@ -237,7 +238,7 @@ impl<'a> Scan<'a> {
 
     /// The best shape of a kind: over its grid, then refined.
     pub fn best(&self, kind: EffectKind) -> Option<(Term, Score)> {
-        let unseen = kind == EffectKind::Compliance && self.problem.rows_of(Equation::Transmission) == 0;
+        let unseen = kind == EffectKind::Compliance && !self.problem.sees_user();
         if unseen && !self.heard() {
             return None;
         }
@@ -346,7 +347,7 @@ impl<'a> Scan<'a> {
         match kind {
             EffectKind::TightSpot => shape[0] - 2.0 * shape[1] > low && shape[0] + 2.0 * shape[1] < high,
             k if shapes::has_order(k) => shape[0] * (high - low) > LEAST_PERIODS * std::f64::consts::TAU,
-            EffectKind::Compliance if self.problem.rows_of(Equation::Transmission) == 0 => self.resounds(shape),
+            EffectKind::Compliance if !self.problem.sees_user() => self.resounds(shape),
             _ => true,
         }
     }
@@ -397,15 +398,6 @@ const UNSEEN_SPRINGS: usize = 2;
 /// From there so many more a step, up to which all are tried (assumed).
 const PERIOD_STEP: f64 = 0.25;
 const FEW_PERIODS: f64 = 5.0;
-
-/// Free resonance of a motor and a load on its spring [rad/s], and its damping ratio.
-///
-/// * `shape` of a compliance: stiffness, damping, inertia of the load; `inertia` of both [kg m2]
-pub fn resonance(shape: &[f64], inertia: f64) -> (f64, f64) {
-    let both = 1.0 / shape[2] + 1.0 / (inertia - shape[2]).max(1e-15);
-    let swing = (shape[0] * both).sqrt();
-    (swing, 0.5 * shape[1] * both / swing)
-}
 
 /// Whether amplitudes have the sign that physics allows.
 pub fn admissible(kind: EffectKind, amplitudes: &[f64]) -> bool {

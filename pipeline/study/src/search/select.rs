@@ -324,8 +324,8 @@ impl Material {
     }
 
     /// The equation in which an effect is seen here: its own, or that of the torque.
-    pub fn seen_in(&self, kind: EffectKind) -> Equation {
-        let e = kind.equation();
+    pub fn seen_in(&self, term: &Term) -> Equation {
+        let e = term.equation();
         if self.fit.rows_of(e) > 0 { e } else { Equation::Torque }
     }
 

@@ -1,6 +1,7 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
 use crate::candidates::columns::{self, Form};
+use crate::candidates::springs::BY_TORQUE;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::measured::bench::BenchChannel;
@@ -156,7 +157,7 @@ impl Material {
     fn by_motion(&self, model: Fit) -> Fit {
         let mut terms = model.terms.clone();
         let springs = terms.iter_mut().filter(|t| t.kind == EffectKind::Compliance);
-        let found = springs.filter(|t| t.shape.get(3) == Some(&columns::BY_TORQUE));
+        let found = springs.filter(|t| t.shape.get(3) == Some(&BY_TORQUE));
         if found.map(|t| t.shape.truncate(3)).count() == 0 {
             return model;
         }
@@ -427,7 +428,7 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
         // a spring that only the torque shows makes the strongest torques no worse, though these are not what proves it
         let spoils = |t: &Term, w: &Fit| {
             let e = Equation::Torque.index();
-            t.kind == EffectKind::Compliance && held.rows_of(Equation::Transmission) == 0 && all[e] > energy(w)[e]
+            t.kind == EffectKind::Compliance && !held.sees_user() && all[e] > energy(w)[e]
         };
         let each = model.terms.iter().zip(&without);
         let gains: Vec<f64> = each.map(|(t, w)| if spoils(t, w) { 0.0 } else { gain(w) }).collect();
@@ -438,7 +439,7 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
             continue;
         }
         let proof = |(t, w): (&Term, &Fit)| {
-            let e = m.seen_in(t.kind);
+            let e = m.seen_in(t);
             (t.kind, held.rms(e, &energy(w)), held.rms(e, &all))
         };
         let proofs = model.terms.iter().zip(&without).map(proof).collect();

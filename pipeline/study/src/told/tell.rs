@@ -340,9 +340,9 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     .filter(|a| a.0 == term.kind)
                     .flat_map(|a| a.1.iter().map(|k| k.name().to_string()))
                     .collect(),
-                channel: channel(m, m.seen_in(term.kind)).0.to_string(),
+                channel: channel(m, m.seen_in(term)).0.to_string(),
                 heldout: o.proofs.iter().find(|p| p.0 == term.kind).map(|p| {
-                    let c = to_channel(m, m.seen_in(term.kind));
+                    let c = to_channel(m, m.seen_in(term));
                     (c * p.1, c * p.2)
                 }),
                 sensor: e.sensor,

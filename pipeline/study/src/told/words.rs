@@ -270,7 +270,7 @@ pub(super) fn sentence(o: &Outcome, f: &Findings) -> String {
     // of the channels in which the effects live; without any, of the drive's
     let lives = |g: &&ChannelGap| {
         let mut terms = o.model.terms.iter();
-        terms.any(|t| o.material.seen_in(t.kind).name() == g.equation)
+        terms.any(|t| o.material.seen_in(t).name() == g.equation)
     };
     let mut gaps: Vec<String> = f.by_channel.iter().filter(lives).map(of_gap).collect();
     if gaps.is_empty() {
