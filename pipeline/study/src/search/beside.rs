@@ -55,6 +55,9 @@ const LEAST_LOSS: f64 = 0.03;
 /// [electrical rad] (assumed).
 const CLEAR: f64 = 12.0;
 const MOST_SWEEP: f64 = 0.4;
+/// Share of a sample by which the impulse of a stretch of strong current is off, one sigma (assumed): a current that jumps may do so
+/// anywhere within a sample at either end, and points of it do not say where.
+const AT_ENDS: f64 = 0.4;
 /// Share of an impulse by which the strokes of the commutation make it uncertain (assumed).
 const ROUGH: f64 = 0.02;
 
@@ -365,7 +368,8 @@ fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64)
         if given.abs() < 10.0 * noise || turns {
             continue;
         }
-        let size = (ROUGH * given).hypot(noise);
+        let at_ends = AT_ENDS * given / (k - from) as f64;
+        let size = (ROUGH * given).hypot(noise).hypot(at_ends);
         let (y, x) = ((given - taken) / size, lost / size);
         out.push(Sums {
             xx: x * x,
