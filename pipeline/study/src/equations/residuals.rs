@@ -97,6 +97,17 @@ impl Problem {
         }
     }
 
+    /// rms of the voltages of three phases [V]; `None` where none is recorded.
+    pub fn phase_volts(&self) -> Option<f64> {
+        let voltages = self.signals.iter().filter_map(|s| s.phases.as_ref()?.voltage.as_ref());
+        let (mut squares, mut count) = (0.0, 0);
+        for v in voltages.flatten() {
+            squares += v.iter().map(|x| x * x).sum::<f64>();
+            count += v.len();
+        }
+        (count > 0).then(|| (squares / count as f64).sqrt())
+    }
+
     /// Sum of squares of a vector of rows, by equation.
     pub fn energy(&self, r: &[f64]) -> [f64; 5] {
         let mut out = [0.0; 5];

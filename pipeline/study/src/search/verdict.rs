@@ -23,6 +23,9 @@ pub const SLOW_S: f64 = 0.02;
 /// sensors of one motion, whose own errors are many, more.
 pub const SLOWLY: f64 = 2.0;
 const SENSORS_APART: f64 = 12.0;
+/// Share of the phases' voltages, rms, below which what is left of them says nothing (assumed): their equation takes each commutation
+/// to last whole samples, and sensors of voltage are hardly more linear.
+const FINE: f64 = 1e-3;
 /// A table that takes more than this share of an equation's energy has found something (assumed).
 pub const UNKNOWN_SHARE: f64 = 0.10;
 /// Most that the noise seen from row to row may be over that of the sensors (assumed).
@@ -144,7 +147,11 @@ pub fn conclude(
     };
     let beyond = |e: usize| slow[e] > slowly(e) && lasting(e) && after[e] > BEYOND * held.sensor_energy(e);
     let most = if stated { UNKNOWN_SHARE } else { 2.5 * UNKNOWN_SHARE };
-    let odd = |e: usize| by_equation[e].is_some() && (remainder > most || stated && beyond(e));
+    let fine = |e: usize| {
+        let volts = held.phase_volts().filter(|_| Equation::ALL[e] == Equation::Electrical);
+        volts.is_some_and(|v| after[e] < held.rows_of(Equation::ALL[e]) as f64 * (FINE * v).powi(2))
+    };
+    let odd = |e: usize| by_equation[e].is_some() && (remainder > most || stated && beyond(e)) && !fine(e);
     if model.terms.is_empty() {
         if (0..4).any(odd) {
             return (Verdict::Unknown, 0.0, remainder);
