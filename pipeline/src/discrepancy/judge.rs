@@ -8,7 +8,7 @@ use ema_study::search::beside::Beside;
 use ema_study::search::study::Outcome;
 use ema_study::search::verdict::Verdict;
 use ema_study::told::findings::{Findings, Identified};
-use ema_study::told::loop_effects::{self, Shown};
+use ema_study::told::loop_effects::{self, Shown, Told};
 use ema_study::told::verify::{self, Verification};
 use ema_study::told::{in_loop, scale, sensors, source};
 use sim_worker::effect::EffectKind;
@@ -30,6 +30,8 @@ const FED: f64 = 1.5;
 const NEARER: f64 = 0.95;
 /// Constants that voltages tell.
 const TOLD_BY_VOLTAGES: [&str; 3] = ["torque_constant", "resistance", "supply_voltage"];
+/// Constants that the torque of currents tells that are means.
+const TOLD_BY_TORQUE: [&str; 3] = ["inertia", "viscous", "coulomb"];
 
 /// Text of an actuator's file, or why there is none.
 type Made = schemas::error::Result<String>;
@@ -241,11 +243,13 @@ impl Judge<'_> {
         if noise > 0.0 && is_fed_alike && speed(&now.verification).is_some_and(moves_alike) {
             return Ok(Shown::Nothing);
         }
-        let told: Vec<(String, f64)> = if scale::told_by_voltages(bench) && outcome.by_loop.is_empty() {
-            now.told(&TOLD_BY_VOLTAGES)
-        } else {
-            Vec::new()
-        };
+        let mut told = Told::default();
+        if scale::told_by_voltages(bench) && outcome.by_loop.is_empty() {
+            told.torque = self.sampling(bench, now)? == CurrentSampling::Mean;
+            told.constants = now.told(&TOLD_BY_VOLTAGES);
+            told.constants
+                .extend(told.torque.then(|| now.told(&TOLD_BY_TORQUE)).unwrap_or_default());
+        }
         let (bench, child) = (bench.clone(), now.child.clone());
         let look = move |_: &dyn Fn(&str)| loop_effects::scan(&bench, &child, &told);
         Ok(interruptible(self.tell_user, look)??)
@@ -257,10 +261,16 @@ impl Judge<'_> {
         if channel(&now.verification, BenchChannel::Position).is_none_or(|c| c.child < ASTRAY_RAD) {
             return Ok(false);
         }
+        Ok(self.sampling(bench, now)? == CurrentSampling::Point)
+    }
+
+    /// What samples of the currents are, by what is simulated.
+    fn sampling(&self, bench: &Bench, now: &Stand) -> Result<CurrentSampling> {
         let (bench, child) = (bench.clone(), now.child.clone());
         let look = move |_: &dyn Fn(&str)| sensors::seen(&bench, &child);
         let seen = interruptible(self.tell_user, look)??;
-        Ok(seen.is_some_and(|s| s.sampling.currents == CurrentSampling::Point))
+        // the reference's own are means
+        Ok(seen.map_or(CurrentSampling::Mean, |s| s.sampling.currents))
     }
 }
 

@@ -25,6 +25,8 @@ const LOOSE: f64 = 2.0;
 /// were told without the effect.
 const TOLD: f64 = 3.0;
 const LEAST_TOLD: f64 = 3e-3;
+/// Standard deviations beyond which no gap turns a constant (assumed): a strong effect that shows in a second of a minute would.
+const FURTHEST: f64 = 3.0;
 /// Standard deviations from which an effect that proves itself on held-out runs is one (assumed).
 const CERTAIN: f64 = 4.0;
 /// The same where it takes nearly all of the gap, there, and the loop rests with it: what scatters is how much, not whether (assumed).
@@ -77,8 +79,17 @@ impl Candidate {
     }
 }
 
+/// What equations of the same recordings tell, so that the loop need not.
+#[derive(Clone, Debug, Default)]
+pub struct Told {
+    /// constants, and their standard deviations, relative
+    pub constants: Vec<(String, f64)>,
+    /// the torque, and so every effect in it: voltages are measured, and currents are means
+    pub torque: bool,
+}
+
 /// Effects that are tried, by sizes that are small.
-fn candidates(child: &ActuatorParameters) -> Vec<Candidate> {
+fn candidates(child: &ActuatorParameters, told: &Told) -> Vec<Candidate> {
     use EffectKind as K;
     let mut all = vec![
         Candidate::of(K::Backlash, 0.02),
@@ -117,7 +128,16 @@ fn candidates(child: &ActuatorParameters) -> Vec<Candidate> {
             size: 1.0,
         });
     }
-    all.retain(|c| !child.effects.iter().any(|e| e.kind == c.effect.kind));
+    let seen_by_none = |k: K| {
+        matches!(
+            k,
+            K::DeadTime | K::ControlDelay | K::SupplySag | K::Backlash | K::Compliance
+        )
+    };
+    all.retain(|c| {
+        let kind = c.effect.kind;
+        !child.effects.iter().any(|e| e.kind == kind) && (!told.torque || seen_by_none(kind))
+    });
     all
 }
 
@@ -169,18 +189,18 @@ pub enum Shown {
 /// runs and no other does.
 ///
 /// * `child` the actuator with what was found
-/// * `told` constants that equations of the voltages tell, and their standard deviations, relative
+/// * `told` what equations tell
 ///
 /// # Errors
 /// Refuses files that cannot be read.
-pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -> Result<Shown> {
+pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Shown> {
     if !bench.own || !bench.runs.iter().any(|r| r.role == Role::HeldOut) {
         return Ok(Shown::Nothing);
     }
     let believed: Vec<f64> = knobs()
         .iter()
         .map(|k| {
-            let of = told.iter().find(|t| t.0 == k.name);
+            let of = told.constants.iter().find(|t| t.0 == k.name);
             of.map_or(LOOSE * k.sd, |t| (TOLD * t.1).clamp(LEAST_TOLD, LOOSE * k.sd))
         })
         .collect();
@@ -212,7 +232,7 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
     } else {
         Shown::Nothing
     };
-    let tried = candidates(child);
+    let tried = candidates(child, told);
     let pieces = compared(bench, &all, child, &turned, &tried);
     let mut ranked: Vec<(usize, Solved)> = (0..tried.len())
         .filter_map(|c| Some((c, solved(&pieces, &believed, &turned, Some(n + c))?)))
@@ -278,7 +298,13 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &[(String, f64)]) -
         "speed of the measured angle, and supply, against the simulated loop's",
         "rad/s",
     );
-    let mut beside = found(kind, (best.value, best.sd), seen, rms);
+    // what is left where the loop does not rest is the effect's own law for all that is known
+    let of_law = if settles {
+        0.0
+    } else {
+        best.value * (left / constants).sqrt()
+    };
+    let mut beside = found(kind, (best.value, best.sd.hypot(of_law)), seen, rms);
     beside.sensor = effect.sensor;
     beside.draw = effect.draw;
     beside.second = (kind == EffectKind::TurnShort).then_some(effect.values[1]);
@@ -430,7 +456,7 @@ fn solved(pieces: &[Piece], believed: &[f64], turned: &DVector<f64>, with: Optio
             gram[(i, i)] += belief;
             right[i] -= turned[i] * belief;
         }
-        gram.cholesky().map(|g| g.solve(&right))
+        within(&gram, &right, believed, turned)
     };
     let (mut x, mut sums) = (DVector::zeros(m), Vec::new());
     for _ in 0..REWEIGHTED {
@@ -450,4 +476,55 @@ fn solved(pieces: &[Piece], believed: &[f64], turned: &DVector<f64>, with: Optio
         .sum::<f64>()
         / count.max(1) as f64;
     Some(Solved { x, sd, left })
+}
+
+/// Solution of normal equations whose constants stay within [`FURTHEST`] of what is believed: where one would go beyond, it stands there.
+fn within(gram: &DMatrix<f64>, right: &DVector<f64>, believed: &[f64], turned: &DVector<f64>) -> Option<DVector<f64>> {
+    let (mut gram, mut right) = (gram.clone(), right.clone());
+    let mut held = vec![false; believed.len()];
+    loop {
+        let x = gram.clone().cholesky()?.solve(&right);
+        let beyond = |i: usize| (turned[i] + x[i]).abs() / believed[i];
+        let furthest = (0..believed.len()).filter(|i| !held[*i] && beyond(*i) > FURTHEST);
+        let Some(i) = furthest.max_by(|a, b| beyond(*a).total_cmp(&beyond(*b))) else {
+            return Some(x);
+        };
+        let at = FURTHEST * believed[i] * (turned[i] + x[i]).signum() - turned[i];
+        right -= at * gram.column(i);
+        gram.row_mut(i).fill(0.0);
+        gram.column_mut(i).fill(0.0);
+        (gram[(i, i)], right[i], held[i]) = (1.0, at, true);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_strong_gap_turns_no_constant_beyond_belief_and_the_effect_takes_the_rest() {
+        // a constant and an effect that are nearly alike, of which the gap is 50 standard deviations of the constant
+        let rows = [(1.0, 1.0, 0.5), (1.0, 0.8, 0.4), (0.1, 0.3, 0.15)];
+        let (mut gram, mut right) = (DMatrix::zeros(2, 2), DVector::zeros(2));
+        for (a, b, y) in rows {
+            let row = DVector::from_vec(vec![a, b]);
+            gram += &row * row.transpose() * 1e8;
+            right += row * y * 1e8;
+        }
+        let sd = 0.01;
+        gram[(0, 0)] += 1.0 / (sd * sd);
+        // wherever it stands, and whichever way it is drawn
+        for (turned, drawn) in [(0.0, 0.0), (0.02, 1e8), (-0.02, -1e8)] {
+            let mut right = right.clone();
+            right[0] += drawn;
+            let x = within(&gram, &right, &[sd], &DVector::from_element(1, turned)).unwrap();
+            assert!((turned + x[0]).abs() <= FURTHEST * sd * (1.0 + 1e-9), "{turned} {x}");
+            // the effect is what fits with the constant where it stands
+            let fits = (right[1] - gram[(1, 0)] * x[0]) / gram[(1, 1)];
+            assert!((x[1] - fits).abs() < 1e-9, "{x} {fits}");
+        }
+        let free = gram.clone().cholesky().unwrap().solve(&right);
+        let same = within(&gram, &right, &[sd], &DVector::zeros(1)).unwrap();
+        assert!((free - same).norm() < 1e-12);
+    }
 }
