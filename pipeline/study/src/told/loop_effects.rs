@@ -25,7 +25,8 @@ const LOOSE: f64 = 2.0;
 /// were told without the effect.
 const TOLD: f64 = 3.0;
 const LEAST_TOLD: f64 = 3e-3;
-/// Standard deviations beyond which no gap turns a constant (assumed): a strong effect that shows in a second of a minute would.
+/// Standard deviations beyond which no gap turns a constant where equations tell the torque (assumed): a strong effect that shows in
+/// a second of a minute would. Beside currents that are read at points what they tell is off by more than it says.
 const FURTHEST: f64 = 3.0;
 /// Standard deviations from which an effect that proves itself on held-out runs is one (assumed).
 const CERTAIN: f64 = 4.0;
@@ -150,6 +151,12 @@ struct Piece {
     slopes: Vec<Vec<f64>>,
 }
 
+/// How far constants may be off: one sigma each, and how many of them at most.
+struct Belief {
+    sd: Vec<f64>,
+    furthest: f64,
+}
+
 /// Sizes of constants (logarithms of factors) and of an effect, its standard deviation, and the squared gap that is left on what
 /// proves.
 struct Solved {
@@ -197,13 +204,17 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Sh
     if !bench.own || !bench.runs.iter().any(|r| r.role == Role::HeldOut) {
         return Ok(Shown::Nothing);
     }
-    let believed: Vec<f64> = knobs()
+    let sd: Vec<f64> = knobs()
         .iter()
         .map(|k| {
             let of = told.constants.iter().find(|t| t.0 == k.name);
             of.map_or(LOOSE * k.sd, |t| (TOLD * t.1).clamp(LEAST_TOLD, LOOSE * k.sd))
         })
         .collect();
+    let believed = Belief {
+        sd,
+        furthest: if told.torque { FURTHEST } else { f64::INFINITY },
+    };
     let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select, Role::HeldOut])?;
     let n = knobs().len();
     // as near as constants come
@@ -318,7 +329,7 @@ fn followed<'a>(
     bench: &Bench,
     all: &[OfRuns<'_>],
     child: &ActuatorParameters,
-    (believed, turned): (&[f64], &DVector<f64>),
+    (believed, turned): (&Belief, &DVector<f64>),
     candidate: &'a Candidate,
     first: f64,
 ) -> Option<Followed<'a>> {
@@ -416,10 +427,10 @@ fn compared(
 
 /// Constants, and one candidate if any, that fit the pieces that find.
 ///
-/// * `believed` how far constants may be off 0, one sigma; `turned` where they are
+/// * `believed` how far constants may be off 0; `turned` where they are
 /// * `with` place of the candidate's slopes
-fn solved(pieces: &[Piece], believed: &[f64], turned: &DVector<f64>, with: Option<usize>) -> Option<Solved> {
-    let columns: Vec<usize> = (0..believed.len()).chain(with).collect();
+fn solved(pieces: &[Piece], believed: &Belief, turned: &DVector<f64>, with: Option<usize>) -> Option<Solved> {
+    let columns: Vec<usize> = (0..believed.sd.len()).chain(with).collect();
     let finds: Vec<&Piece> = pieces.iter().filter(|p| !p.proves).collect();
     let m = columns.len();
     let left_of = |p: &Piece, x: &DVector<f64>, t: usize| {
@@ -451,7 +462,7 @@ fn solved(pieces: &[Piece], believed: &[f64], turned: &DVector<f64>, with: Optio
         let kept = || sums.iter().enumerate().filter(|(k, _)| Some(*k) != out);
         let mut gram: DMatrix<f64> = kept().map(|s| &s.1.0).sum();
         let mut right: DVector<f64> = kept().map(|s| &s.1.1).sum();
-        for (i, sd) in believed.iter().enumerate() {
+        for (i, sd) in believed.sd.iter().enumerate() {
             let belief = sd.powi(-2);
             gram[(i, i)] += belief;
             right[i] -= turned[i] * belief;
@@ -478,18 +489,18 @@ fn solved(pieces: &[Piece], believed: &[f64], turned: &DVector<f64>, with: Optio
     Some(Solved { x, sd, left })
 }
 
-/// Solution of normal equations whose constants stay within [`FURTHEST`] of what is believed: where one would go beyond, it stands there.
-fn within(gram: &DMatrix<f64>, right: &DVector<f64>, believed: &[f64], turned: &DVector<f64>) -> Option<DVector<f64>> {
+/// Solution of normal equations whose constants stay within what is believed: where one would go beyond, it stands there.
+fn within(gram: &DMatrix<f64>, right: &DVector<f64>, believed: &Belief, turned: &DVector<f64>) -> Option<DVector<f64>> {
     let (mut gram, mut right) = (gram.clone(), right.clone());
-    let mut held = vec![false; believed.len()];
+    let mut held = vec![false; believed.sd.len()];
     loop {
         let x = gram.clone().cholesky()?.solve(&right);
-        let beyond = |i: usize| (turned[i] + x[i]).abs() / believed[i];
-        let furthest = (0..believed.len()).filter(|i| !held[*i] && beyond(*i) > FURTHEST);
+        let beyond = |i: usize| (turned[i] + x[i]).abs() / believed.sd[i];
+        let furthest = (0..believed.sd.len()).filter(|i| !held[*i] && beyond(*i) > believed.furthest);
         let Some(i) = furthest.max_by(|a, b| beyond(*a).total_cmp(&beyond(*b))) else {
             return Some(x);
         };
-        let at = FURTHEST * believed[i] * (turned[i] + x[i]).signum() - turned[i];
+        let at = believed.furthest * believed.sd[i] * (turned[i] + x[i]).signum() - turned[i];
         right -= at * gram.column(i);
         gram.row_mut(i).fill(0.0);
         gram.column_mut(i).fill(0.0);
@@ -512,19 +523,20 @@ mod tests {
             right += row * y * 1e8;
         }
         let sd = 0.01;
+        let of = |furthest| Belief { sd: vec![sd], furthest };
         gram[(0, 0)] += 1.0 / (sd * sd);
         // wherever it stands, and whichever way it is drawn
         for (turned, drawn) in [(0.0, 0.0), (0.02, 1e8), (-0.02, -1e8)] {
             let mut right = right.clone();
             right[0] += drawn;
-            let x = within(&gram, &right, &[sd], &DVector::from_element(1, turned)).unwrap();
+            let x = within(&gram, &right, &of(FURTHEST), &DVector::from_element(1, turned)).unwrap();
             assert!((turned + x[0]).abs() <= FURTHEST * sd * (1.0 + 1e-9), "{turned} {x}");
             // the effect is what fits with the constant where it stands
             let fits = (right[1] - gram[(1, 0)] * x[0]) / gram[(1, 1)];
             assert!((x[1] - fits).abs() < 1e-9, "{x} {fits}");
         }
         let free = gram.clone().cholesky().unwrap().solve(&right);
-        let same = within(&gram, &right, &[sd], &DVector::zeros(1)).unwrap();
+        let same = within(&gram, &right, &of(f64::INFINITY), &DVector::zeros(1)).unwrap();
         assert!((free - same).norm() < 1e-12);
     }
 }
