@@ -247,8 +247,9 @@ impl Judge<'_> {
         if scale::told_by_voltages(bench) && outcome.by_loop.is_empty() {
             told.torque = self.sampling(bench, now)? == CurrentSampling::Mean;
             told.constants = now.told(&TOLD_BY_VOLTAGES);
-            told.constants
-                .extend(told.torque.then(|| now.told(&TOLD_BY_TORQUE)).unwrap_or_default());
+            if told.torque {
+                told.constants.extend(now.told(&TOLD_BY_TORQUE));
+            }
         }
         let (bench, child) = (bench.clone(), now.child.clone());
         let look = move |_: &dyn Fn(&str)| loop_effects::scan(&bench, &child, &told);
