@@ -1,6 +1,6 @@
 //! Actuator parameters: TOML in, checked values out.
 
-use crate::effect::{self, Draw, Effect, REFERENCE_TEMPERATURE_DEGC, Reads};
+use crate::effect::{self, Draw, Effect, REFERENCE_TEMPERATURE_DEGC, Reads, Turns};
 use schemas::error::{Error, Result};
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::toml_section::{self, Section, quoted};
@@ -519,6 +519,9 @@ impl ActuatorParameters {
             }
             if e.reads != Reads::default() {
                 text += &format!(",reads,{}", e.reads.name());
+            }
+            if e.turns != Turns::default() {
+                text += &format!(",turns,{}", e.turns.name());
             }
         }
         fingerprint(&text)

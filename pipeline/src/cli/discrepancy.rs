@@ -12,7 +12,7 @@ use diagnoser::report::versioned;
 use ema_study::measured::bench::is_recording;
 use ema_study::told::verify::Verification;
 use schemas::error::{EXIT_LOSS, Error};
-use sim_worker::effect::{Draw, PHASES, Reads};
+use sim_worker::effect::{Draw, PHASES, Reads, Turns};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -126,6 +126,9 @@ fn to_text(f: &Findings) -> String {
         }
         if e.reads == Reads::AngleAndSpeed {
             t += "  in the measured speed too, which is of the same sensor\n";
+        }
+        if e.turns == Turns::Bridged {
+            t += "  bridged turns, whose own current brakes; the fraction is that of a contact without resistance\n";
         }
         if let Some(r) = &e.runner_up {
             t += &format!("  runner-up: {r}\n");

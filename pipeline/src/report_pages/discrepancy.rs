@@ -7,7 +7,7 @@ use super::discrepancy_figures::{
 use crate::report::{Layout, Lead, Report, Section, Table, TableRow, Tone, html};
 use anyhow::{Context as _, Result};
 use ema_study::told::findings::{ChannelGap, Findings, FoundEffect};
-use sim_worker::effect::{Draw, PHASES, Reads};
+use sim_worker::effect::{Draw, PHASES, Reads, Turns};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -164,6 +164,9 @@ fn effect(n: usize, e: &FoundEffect, blocks: &mut Blocks) -> Section {
     };
     if e.reads == Reads::AngleAndSpeed {
         text += "- The measured speed is of the same sensor and has its error too; the speed loop acts on it.\n";
+    }
+    if e.turns == Turns::Bridged {
+        text += "- A contact bridges the turns, whose own current brakes the rotor. The fraction is that of a contact without resistance: with one there are more turns, with the same effect.\n";
     }
     match &e.runner_up {
         Some(r) => text += &format!("- Runner-up: {}\n", line(r)),

@@ -2,7 +2,7 @@
 //! `kt i = J dw/dt + C w + friction + load + sum of effects`, voltages as
 //! `v = R i + L di/dt + ke w + sum of effects`.
 
-use super::{Draw, Effect, EffectKind, Reads};
+use super::{Draw, Effect, EffectKind, Reads, Turns};
 use crate::exponential::{exp, power, tanh};
 use crate::parameters::ActuatorParameters;
 use crate::trig;
@@ -134,6 +134,15 @@ pub fn shape(electrical: f64) -> f64 {
     triangle.clamp(-1.0, 1.0)
 }
 
+/// Torque against the rotor [N m] of bridged turns of a phase, by the coefficient `values[0]` [N m s/rad], the angle of the phase
+/// `values[1]` [electrical rad] and pole pairs `values[2]`: their back-EMF is the phase's shape, and so is the torque of the current
+/// that it drives.
+pub(super) fn brake(values: [f64; 3], theta: f64, omega: f64) -> f64 {
+    let [coefficient, phase, pole_pairs] = values;
+    let at = shape(pole_pairs * theta - phase);
+    coefficient * at * at * omega
+}
+
 /// Integral of [`shape`] over the electrical angle, from 0: the flux that it is the derivative of.
 pub fn flux(electrical: f64) -> f64 {
     // in flanks of 30 degrees, mirrored at 180
@@ -221,11 +230,28 @@ impl Effect {
             EffectKind::TorqueRipple
             | EffectKind::Eccentricity
             | EffectKind::TurnShort
-            | EffectKind::CommutationOffset => self.shared(s, c, self.constant_share(s, c)).0,
+            | EffectKind::CommutationOffset => self.shared(s, c, self.constant_share(s, c)).0 + self.brake_torque(s, c),
             EffectKind::CurrentOffset => self.current_offset(s, c) * c.torque_constant,
             EffectKind::CurrentGain => c.torque_constant * self.current_gain(s, c),
             _ => self.friction(s, c) * s.sign,
         }
+    }
+
+    /// What bridged turns need to brake, as [`brake`] has it: of the phase's `R` and `ke` the fraction `f` is in the bridged turns,
+    /// `(f ke w)^2 / (f R)` is what they turn into heat. A contact of resistance `Rc` makes of a fraction `f` what
+    /// `f / (1 + Rc/(f R))` makes without: in the phase, and here. That the bridged current fades within `L/R` and is coupled to the
+    /// rest of the phase is left out.
+    pub(super) fn bridge(&self, c: &Constants) -> Option<[f64; 3]> {
+        let of_phase = 0.5 * c.torque_constant * c.torque_constant / c.resistance;
+        (self.turns == Turns::Bridged).then(|| {
+            let phase = TAU / 3.0 * self.values[1];
+            [self.values[0] * of_phase, phase, c.pole_pairs]
+        })
+    }
+
+    /// Torque with which bridged turns brake [N m]; 0 for all else.
+    pub(super) fn brake_torque(&self, s: &Signals, c: &Constants) -> f64 {
+        self.bridge(c).map_or(0.0, |b| brake(b, s.theta, s.omega))
     }
 
     /// What an offset of current sensors adds to the measured current that gives torque [A]; that of one phase of three counts

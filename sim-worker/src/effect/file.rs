@@ -1,6 +1,6 @@
 //! An effect as a table `[[effect]]` of the actuator's file.
 
-use super::{Draw, Effect, EffectKind, Note, Reads};
+use super::{Draw, Effect, EffectKind, Note, Reads, Turns};
 use schemas::error::Result;
 use schemas::toml_section::{Section, quoted};
 
@@ -103,6 +103,13 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
                 _ => t.one_of("reads", "nothing: it is in no sensor of the angle", |_| None)?,
             };
         }
+        if t.may_have("turns") {
+            let turns = |name: &str| [Turns::Lost, Turns::Bridged].into_iter().find(|t| t.name() == name);
+            e.turns = match kind {
+                EffectKind::TurnShort => t.one_of("turns", "lost or bridged", turns)?,
+                _ => t.one_of("turns", "nothing: it is in no winding", |_| None)?,
+            };
+        }
         e.source = t.text_or("source", "assumed")?;
         if t.may_have("parent") {
             e.parent = Some(t.text("parent", "the fingerprint of an actuator")?);
@@ -157,6 +164,9 @@ impl Effect {
         }
         if self.reads != Reads::default() {
             out += &format!("reads = \"{}\"\n", self.reads.name());
+        }
+        if self.turns != Turns::default() {
+            out += &format!("turns = \"{}\"\n", self.turns.name());
         }
         out += &format!("source = {}\n", quoted(&self.source));
         if !self.provenance.is_empty() {

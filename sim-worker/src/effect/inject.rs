@@ -1,7 +1,7 @@
 //! The effects of an actuator, sorted by where they act, for test bench and simplified model.
 
 use super::equations::REFERENCE_TEMPERATURE_DEGC;
-use super::{Constants, Dahl, DelayLine, Draw, Effect, EffectKind, Reads, Signals, TwoMass, commutation_share};
+use super::{Constants, Dahl, DelayLine, Draw, Effect, EffectKind, Reads, Signals, Turns, TwoMass, commutation_share};
 use crate::parameters::ActuatorParameters;
 
 /// Effects of one actuator; those without amplitude are left out. Winding heating and backlash
@@ -18,6 +18,8 @@ pub struct Injection {
     pub(super) ripple: Vec<Effect>,
     eccentricity: Vec<Effect>,
     short: Vec<Effect>,
+    /// those of them whose turns are bridged
+    pub(super) bridged: Vec<Effect>,
     pub(super) dead_time: Vec<Effect>,
     pub(super) saturation: Vec<Effect>,
     pub(super) encoder: Vec<Effect>,
@@ -70,6 +72,7 @@ impl Injection {
             ripple: Vec::new(),
             eccentricity: Vec::new(),
             short: Vec::new(),
+            bridged: Vec::new(),
             dead_time: Vec::new(),
             saturation: Vec::new(),
             encoder: Vec::new(),
@@ -120,6 +123,9 @@ impl Injection {
                     let turns = &mut all.turns[(b as usize).min(2)];
                     *turns = (*turns * (1.0 - a)).max(FEWEST_TURNS);
                     all.short.push(e.clone());
+                    if e.turns == Turns::Bridged {
+                        all.bridged.push(e.clone());
+                    }
                 }
                 EffectKind::CommutationOffset => all.commutation += a,
                 EffectKind::EncoderEccentricity => all.encoder.push(e.clone()),
@@ -163,7 +169,8 @@ impl Injection {
     /// Torque against the motor [N m], but for friction and what acts on the torque constant.
     #[inline]
     pub fn torque(&self, s: &Signals) -> f64 {
-        self.torque.iter().map(|e| e.torque(s, &self.constants)).sum()
+        let brakes: f64 = self.bridged.iter().map(|e| e.brake_torque(s, &self.constants)).sum();
+        self.torque.iter().map(|e| e.torque(s, &self.constants)).sum::<f64>() + brakes
     }
 
     /// Values of an effect with what does not change during a test worked in.
@@ -179,6 +186,7 @@ impl Injection {
                 let of_speed = f64::from(u8::from(e.reads == Reads::AngleAndSpeed));
                 [a, e.values[1], of_speed]
             }
+            EffectKind::TurnShort => e.bridge(&self.constants).unwrap_or_default(),
             _ => e.values,
         }
     }

@@ -82,6 +82,26 @@ impl Reads {
     }
 }
 
+/// What has become of the turns of a phase that are short.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Turns {
+    /// the phase has fewer of them
+    #[default]
+    Lost,
+    /// a contact bridges them: its back-EMF drives a current through them that brakes the rotor
+    Bridged,
+}
+
+impl Turns {
+    /// In files and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lost => "lost",
+            Self::Bridged => "bridged",
+        }
+    }
+}
+
 /// An effect with its parameters; SI units, motor side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effect {
@@ -105,6 +125,8 @@ pub struct Effect {
     pub draw: Draw,
     /// of `encoder_eccentricity`: what the sensor measures
     pub reads: Reads,
+    /// of `turn_short`: what has become of the turns
+    pub turns: Turns,
     /// fingerprint of the actuator to which the effect was added
     pub parent: Option<String>,
     /// how it was identified: data, runs, score, runner-up ...; keys in the order of the alphabet
@@ -126,6 +148,7 @@ impl Effect {
             sensor: None,
             draw: Draw::Power,
             reads: Reads::Angle,
+            turns: Turns::Lost,
             parent: None,
             provenance: Vec::new(),
         }

@@ -181,7 +181,8 @@ impl<const N: usize> LaneEffects<N> {
         self.newton_metre[l] = u.newton_metre;
         (self.amperes[l], self.volts[l]) = (u.ampere, u.volt);
         if let Some(e) = &own {
-            let by_levels = e.friction.iter().chain(&e.torque).chain(&e.ripple).chain(&e.encoder);
+            let of_motion = e.friction.iter().chain(&e.torque).chain(&e.bridged);
+            let by_levels = of_motion.chain(&e.ripple).chain(&e.encoder);
             self.levels |= by_levels.clone().next().is_some();
             let effects = by_levels.chain(&e.saturation).chain(&e.dead_time);
             let mut seen: Vec<EffectKind> = Vec::new();
@@ -350,6 +351,11 @@ impl<const N: usize> LaneEffects<N> {
                 EffectKind::Cogging => {
                     for l in 0..N {
                         torque[l] += equations::wave([a[l], b[l], d[l]], theta[l]);
+                    }
+                }
+                EffectKind::TurnShort => {
+                    for l in 0..N {
+                        torque[l] += equations::brake([a[l], b[l], d[l]], theta[l], omega[l]);
                     }
                 }
                 EffectKind::SpringLoad => {

@@ -164,6 +164,31 @@ fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
 }
 
 #[test]
+fn prop_short_turns_say_what_has_become_of_them_and_nothing_else_does() {
+    let lost = visible(EffectKind::TurnShort);
+    let bridged = Effect {
+        turns: Turns::Bridged,
+        ..lost.clone()
+    };
+    assert!(!lost.to_toml().contains("turns ="), "files of before stay as they are");
+    for e in [&lost, &bridged] {
+        assert_eq!(parse(&e.to_toml()).unwrap().effects, std::slice::from_ref(e));
+    }
+    assert_ne!(
+        parse(&lost.to_toml()).unwrap().fingerprint(),
+        parse(&bridged.to_toml()).unwrap().fingerprint()
+    );
+    for (of, wrong, allowed) in [
+        (&lost, "open", "lost or bridged"),
+        (&visible(EffectKind::DeadTime), "bridged", "in no winding"),
+    ] {
+        let text = format!("{}turns = \"{wrong}\"\n", of.to_toml());
+        let e = parse(&text).unwrap_err().to_string();
+        assert!(e.contains(allowed) && e.contains(wrong) && !e.contains('\n'), "{e}");
+    }
+}
+
+#[test]
 fn prop_every_kind_reads_back_as_it_was_written() {
     for &kind in EffectKind::ALL {
         let mut e = visible(kind);

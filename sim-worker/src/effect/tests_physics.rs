@@ -7,6 +7,7 @@ use crate::parameters::ActuatorParameters;
 use crate::test_bench::{Lane, NumericalTestBench};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::fault::FaultState;
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 const DT: f64 = 1e-6;
@@ -129,6 +130,40 @@ fn prop_torques_are_the_equations_of_the_recorded_signals() {
             got.len()
         );
         assert!(got.len() > 30_000 && size > 3e-4 && error < 1e-9, "{}", kind.name());
+    }
+}
+
+#[test]
+fn prop_bridged_turns_brake_by_the_heat_of_their_current() {
+    let com = sine(40_000, DT);
+    for q in 0..3 {
+        let e = Effect {
+            turns: Turns::Bridged,
+            ..Effect::new(EffectKind::TurnShort, &[0.2, q as f64])
+        };
+        let p = with(std::slice::from_ref(&e));
+        let c = Constants::of(&p, 1.0);
+        let r = record(&p, &com);
+        let (mut got, mut wanted) = (Vec::new(), Vec::new());
+        for k in 1..com.len() {
+            if let Some(gap) = torque_gap(&p, &r, k, c.coulomb) {
+                let s = signals(&r, k);
+                let emf =
+                    0.2 * 0.5 * c.torque_constant * s.omega * shape(c.pole_pairs * s.theta - TAU / 3.0 * q as f64);
+                got.push(gap * s.omega);
+                wanted.push(emf * emf / (0.2 * 0.5 * c.resistance));
+            }
+        }
+        assert!(got.len() > 30_000 && rms(&wanted) > 1e-3);
+        assert!(difference(&got, &wanted) < 1e-6 * rms(&wanted), "{q}");
+        // the equivalent phase of the simplified model brakes as much
+        let s = Signals {
+            theta: 0.7,
+            omega: 300.0,
+            ..Signals::default()
+        };
+        let all = Injection::new(&p, 1.0, 0.0, 0.0, DT).unwrap();
+        assert_eq!(all.torque(&s), e.brake_torque(&s, &c));
     }
 }
 

@@ -288,6 +288,7 @@ mod tests {
                 sensor: None,
                 draw: Default::default(),
                 reads: Default::default(),
+                turns: Default::default(),
                 alias: None,
                 channel: "user_position".into(),
                 heldout: None,

@@ -2,13 +2,13 @@
 //! add to the equations. The equations themselves stand in `sim_worker::effect`.
 
 use crate::candidates::loads::loose;
-use crate::candidates::phases::{LEGS, of_phases};
+use crate::candidates::phases::{BRIDGED, LEGS, of_phases};
 use crate::candidates::springs;
 use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::samples::{rate_of, shifted};
 use crate::equations::signals::Signals;
-use sim_worker::effect::{self, Draw, Effect, EffectKind, Equation, Reads};
+use sim_worker::effect::{self, Draw, Effect, EffectKind, Equation, Reads, Turns};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
@@ -449,6 +449,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
     let values: Vec<f64> = match form(kind) {
         Form::Amplitude if kind == EffectKind::CurrentGain => vec![a(0) / (1.0 - a(0))],
         Form::Amplitude if kind.keys().len() == 1 => vec![a(0)],
+        Form::Amplitude if kind == EffectKind::TurnShort => vec![a(0), shape[0]],
         Form::Amplitude => [&[a(0)], shape].concat(),
         Form::Periodic if kind == EffectKind::EncoderEccentricity => vec![a(0).hypot(a(1)), a(1).atan2(a(0))],
         Form::Periodic => [&[a(0).hypot(a(1)), (-a(1)).atan2(a(0))], shape].concat(),
@@ -460,6 +461,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
     let mut e = Effect::new(kind, &values).wrapped();
     match kind {
         EffectKind::SupplySag if shape.first() == Some(&LEGS) => e.draw = Draw::Legs,
+        EffectKind::TurnShort if shape.get(1) == Some(&BRIDGED) => e.turns = Turns::Bridged,
         EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => e.reads = Reads::AngleAndSpeed,
         EffectKind::CurrentGain => e.sensor = shape.first().map(|q| *q as usize),
         _ => {}
@@ -480,6 +482,7 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Amplitude if e.kind == EffectKind::SupplySag => {
             (vec![if e.draw == Draw::Legs { LEGS } else { 2.0 }], vec![v[0]])
         }
+        Form::Amplitude if e.turns == Turns::Bridged => (vec![v[1], BRIDGED], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::DeadTime => (vec![0.05], vec![v[0]]),
         Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
         Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {

@@ -44,6 +44,9 @@ fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) 
 /// Shape of a source whose voltage goes by the size of the legs' current; what is less goes by power.
 pub const LEGS: f64 = 3.0;
 
+/// Second shape of a phase whose short turns a contact bridges.
+pub const BRIDGED: f64 = 1.0;
+
 /// As [`super::columns::contribution`], of effects that the phases tell apart; `None` for all others.
 pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants) -> Option<Vec<Column>> {
     let p = s.phases.as_ref()?;
@@ -90,6 +93,14 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             let short = shape[0] as usize;
             let mut column = phased(s, p, c, |q, _| if q == short { -1.0 } else { 0.0 });
             column.extend(less(short));
+            if shape.get(1) == Some(&BRIDGED) {
+                // by the back-EMF of the bridged turns, whose current is as large as theirs over their resistance
+                let squared = p.swept(s, |theta| {
+                    effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * short as f64).powi(2)
+                });
+                let signal = squared.iter().map(|x| ke * ke / r * x).collect();
+                column.push(Piece::of(Equation::Torque, 0, signal));
+            }
             vec![column]
         }
         EffectKind::DeadTime if p.voltage.is_some() => {

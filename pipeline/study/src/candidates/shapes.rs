@@ -1,6 +1,6 @@
 //! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
 
-use crate::candidates::phases::LEGS;
+use crate::candidates::phases::{BRIDGED, LEGS};
 use crate::candidates::springs::BY_TORQUE;
 use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
@@ -107,6 +107,10 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             }
             out
         }
+        EffectKind::TurnShort if runs.iter().all(|r| r.phases.is_some()) => [0.0, 1.0, 2.0]
+            .into_iter()
+            .flat_map(|q| [vec![q], vec![q, BRIDGED]])
+            .collect(),
         EffectKind::TurnShort => one(vec![0.0, 1.0, 2.0]),
         // a speed sensor of its own, or the speed of the same angle
         EffectKind::EncoderEccentricity if runs.iter().all(|r| r.velocity.is_some()) => one(vec![0.0, 1.0]),
@@ -257,7 +261,8 @@ fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
         EffectKind::CommutationOffset => &[LIN, None],
         EffectKind::Compliance => &[LOG, LOG, LOG, None],
-        EffectKind::TurnShort | EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::SupplySag => &[None],
+        EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::SupplySag => &[None],
+        EffectKind::TurnShort => &[None, None],
         EffectKind::WindingHeating => &[None, LOG],
         EffectKind::DeadTime => &[LOG],
         _ => &[],
@@ -283,10 +288,8 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9), (0.0, BY_TORQUE)],
         EffectKind::WindingHeating => vec![(0.0, 2.0), (0.02, 1e3)],
         EffectKind::SupplySag => vec![(0.0, LEGS)],
-        EffectKind::TurnShort
-        | EffectKind::CurrentOffset
-        | EffectKind::CurrentGain
-        | EffectKind::EncoderEccentricity => vec![(0.0, 2.0)],
+        EffectKind::TurnShort => vec![(0.0, 2.0), (0.0, BRIDGED)],
+        EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::EncoderEccentricity => vec![(0.0, 2.0)],
         EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => vec![(0.005, 0.5)],
         EffectKind::DeadTime => {
             let most = runs.iter().flat_map(|r| &r.drive).fold(0.0, |a: f64, x| a.max(x.abs()));

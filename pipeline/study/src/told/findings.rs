@@ -2,7 +2,7 @@
 
 use crate::told::verify::Verification;
 use serde_json::{Map, Value, json};
-use sim_worker::effect::{Draw, EffectKind, PHASES, Reads};
+use sim_worker::effect::{Draw, EffectKind, PHASES, Reads, Turns};
 
 /// An identified number.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,6 +62,8 @@ pub struct FoundEffect {
     pub draw: Draw,
     /// of `encoder_eccentricity`: what the sensor measures
     pub reads: Reads,
+    /// of `turn_short`: what has become of the turns
+    pub turns: Turns,
     /// channel in which the effect lives
     pub channel: String,
     /// gap of that channel on held-out data without it and with it; `None` where nothing was held out
@@ -277,6 +279,7 @@ impl Findings {
                     "sensor": e.sensor.map(|q| PHASES[q]),
                     "draw": (e.name == EffectKind::SupplySag.name()).then(|| e.draw.name()),
                     "reads": (e.name == EffectKind::EncoderEccentricity.name()).then(|| e.reads.name()),
+                    "turns": (e.name == EffectKind::TurnShort.name()).then(|| e.turns.name()),
                     "channel": e.channel,
                     "heldout_before": e.heldout.map(|h| h.0),
                     "heldout_after": e.heldout.map(|h| h.1),

@@ -15,7 +15,7 @@ use crate::told::places;
 use crate::told::scale;
 use crate::told::words::{assumptions, facts, missing, sentence, told, unnamed};
 use nalgebra::{DMatrix, DVector};
-use sim_worker::effect::{EffectKind, Equation, NORMAL_95, Reads};
+use sim_worker::effect::{EffectKind, Equation, NORMAL_95, Reads, Turns};
 
 /// The channel that an equation predicts.
 pub(super) fn channel(m: &Material, e: Equation) -> (&'static str, &'static str) {
@@ -348,6 +348,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                 sensor: e.sensor,
                 draw: source.map_or(e.draw, |s| s.draw),
                 reads: e.reads,
+                turns: e.turns,
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
         })
@@ -382,6 +383,7 @@ fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
         sensor: b.sensor,
         draw: b.draw,
         reads: Reads::Angle,
+        turns: Turns::Lost,
         channel: b.seen_in.to_string(),
         heldout: m.held.is_some().then_some((b.before, b.after)),
     }
