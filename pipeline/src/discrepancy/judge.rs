@@ -82,6 +82,21 @@ impl Judge<'_> {
         let now = self.simulated(&mut bench, outcome, findings, made)?;
         let mut now = self.with_loop(&mut bench, outcome, now)?;
         let mut against = Vec::new();
+        // points of a current that chatters do not tell its scale
+        let of_scale = |b: &Beside| b.kind == EffectKind::CurrentGain && b.sensor.is_none();
+        if bench.own
+            && let Some(at) = outcome.beside.iter().position(of_scale)
+            && self.sampling(&bench, &now)? == CurrentSampling::Point
+        {
+            outcome.beside.remove(at);
+            if outcome.model.terms.is_empty() && outcome.beside.is_empty() {
+                outcome.verdict = Verdict::Retune;
+            }
+            now = self.again(&mut bench, outcome)?;
+            let text = "constants are off as by a gain of all current sensors, which are read at points: as well it may be what points \
+                        leave out of a current that chatters";
+            against.push(text.to_string());
+        }
         // a phase that lost turns moves the motor otherwise than one whose sensor says too much
         if outcome.verdict != Verdict::None && outcome.exchange_short_and_gain() {
             let before = std::mem::take(&mut outcome.by_loop);

@@ -173,9 +173,12 @@ pub fn conclude(
     };
     let far = drifting(held, &m.held_residual(model), m.over_floor(held, &after)[2]);
     // an equation that an effect has touched, or that was off before as none is in which nothing is missing
-    let counts = |e: usize| {
-        (before[e] - after[e]).abs() > 0.05 * before[e]
-            || before[e] > BEYOND * held.sensor_energy(e) && (touched(e) || odd(e))
+    let changed = |e: usize| (before[e] - after[e]).abs() > 0.05 * before[e];
+    let off = |e: usize, energy: &[f64; 5]| energy[e] > BEYOND * held.sensor_energy(e);
+    let counts = |e: usize| match touched(e) || odd(e) {
+        true => changed(e) || off(e, &before),
+        // what is left of an equation that others only follow in is held against a name as it is where nothing was found
+        false => changed(e) && off(e, &after),
     };
     let counted = (0..5).filter(|e| counts(*e)).filter_map(|e| by_equation[e]);
     let worst = counted.fold(1.0, |a: f64, b| a.min(b));
