@@ -46,15 +46,7 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
             // of one phase it makes the torque ripple
             K::CurrentGain if !electrical && !m.bench.has_phases() => Some("no voltage beside a measured current"),
             K::Backlash if !has(BenchChannel::UserPosition) => Some("no channel `user_position`"),
-            // of phases the back-EMF is a second sensor; elsewhere the torque that a motion takes shows what its angle has too much
-            K::EncoderEccentricity
-                if m.bench.has_phases()
-                    && !has(BenchChannel::UserPosition)
-                    && !has(BenchChannel::Velocity)
-                    && !electrical =>
-            {
-                Some("no second sensor of the motion")
-            }
+            // where there is no other sensor, the torque that a motion takes shows what its angle has too much
             K::EncoderEccentricity if stroke < std::f64::consts::TAU => Some("the motor turns by less than one turn"),
             K::ControlDelay if m.bench.own => {
                 Some("the band of the drive's current control hides it, and no simulated loop was there to show it")

@@ -347,7 +347,11 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                 }),
                 sensor: e.sensor,
                 draw: source.map_or(e.draw, |s| s.draw),
-                reads: e.reads,
+                // a recorded speed that is made of the angle has its error, and is what the loop acts on (assumed)
+                reads: match m.bench.made_of_angle {
+                    Some(_) if term.kind == EffectKind::EncoderEccentricity => Reads::AngleAndSpeed,
+                    _ => e.reads,
+                },
                 turns: e.turns,
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
