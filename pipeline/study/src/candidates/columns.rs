@@ -58,7 +58,7 @@ pub(super) fn drive(s: &Signals, c: &RigConstants, k: usize) -> f64 {
     s.drive[k] - offset - late / s.rate_hz * s.drive_rate[k]
 }
 
-fn moments<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = effect::Signals> + 'a {
+pub(super) fn moments<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = effect::Signals> + 'a {
     (0..s.n).map(move |k| effect::Signals {
         theta: s.theta[k],
         rest: s.rest,

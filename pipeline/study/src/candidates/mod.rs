@@ -1,4 +1,5 @@
 pub mod columns;
+pub mod laws;
 mod loads;
 pub mod phases;
 pub mod shapes;

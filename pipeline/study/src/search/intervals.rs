@@ -3,6 +3,7 @@
 //! too), the wider of the two.
 
 use crate::candidates::columns;
+use crate::candidates::laws;
 use crate::candidates::shapes;
 use crate::equations::problem::Problem;
 use crate::search::fit::{self, Fit, Term};
@@ -121,11 +122,28 @@ fn scores(
     (blocks.into_values().collect(), runs.into_values().collect())
 }
 
+/// What other laws of the terms would add to the rows beyond their own, each; but for one term.
+fn otherwise(p: &Problem, m: &Material, fit: &Fit, but: Option<usize>) -> Vec<Vec<f64>> {
+    let strongest = laws::strongest(&p.signals, &m.constants);
+    let of = |t: &Term| -> Option<Vec<f64>> {
+        let all = p.signals.iter();
+        let pieces = all.map(|s| laws::otherwise(t.kind, &t.shape, &t.amplitudes, (s, &m.constants), strongest));
+        Some(p.column(&pieces.collect::<Option<Vec<_>>>()?))
+    };
+    let terms = fit.terms.iter().enumerate().filter(|(t, _)| Some(*t) != but);
+    terms.filter_map(|(_, t)| of(t)).collect()
+}
+
 /// Moves one number of a term.
 type Change = Box<dyn Fn(&mut Term, f64)>;
 
 /// Intervals of a fitted model.
 pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
+    intervals_by_law(m, fit, None)
+}
+
+/// As [`intervals`], by the law that term `of` has: what it would be by another says nothing about whether it is there.
+pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals {
     let p = &m.fit;
     let j = jacobian(m, p, fit);
     let count = j.len();
@@ -206,12 +224,30 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
         let x = inverse.column(*i) * (BELIEF * b);
         a += &x * x.transpose();
     }
+    // how far another law of each effect would move all
+    let moved: Vec<DVector<f64>> = otherwise(p, m, fit, of)
+        .iter()
+        .map(|d| {
+            let right = |a: usize| {
+                scaled[a]
+                    .iter()
+                    .zip(d)
+                    .zip(&w)
+                    .map(|((x, d), w)| x * d * w)
+                    .sum::<f64>()
+                    / norm[a]
+            };
+            let x = &inverse * DVector::from_fn(count, |a, _| right(a));
+            DVector::from_fn(count, |a, _| x[a] / norm[a])
+        })
+        .collect();
+    let by_law = |i: usize, k: usize| -> f64 { moved.iter().map(|x| x[i] * x[k]).sum() };
     let runs = by_run.len() as f64;
     let fitted = m.fit.signals.len() as f64;
     let b = spread(&by_run, fitted / runs);
     // where there are runs enough to say how far another command would move the parameters
     let of_runs = if runs >= MANY_RUNS { 0.5 } else { 0.0 };
-    let sd = |i: usize| -> f64 {
+    let by_noise = |i: usize| -> f64 {
         let blocks = a[(i, i)].max(of_runs * b[(i, i)]);
         // no better than the noise allows, and no worse than a few times that: blocks are few
         blocks
@@ -220,10 +256,11 @@ pub fn intervals(m: &Material, fit: &Fit) -> Intervals {
             / norm[i]
             * WIDER
     };
+    let sd = |i: usize| -> f64 { by_noise(i).hypot(by_law(i, i).sqrt()) };
     let cov = |i: usize, k: usize| -> f64 {
         // the correlation of the blocks with the standard deviations of whichever is wider
         let r = a[(i, k)] / (a[(i, i)] * a[(k, k)]).sqrt().max(1e-300);
-        r * sd(i) * sd(k)
+        r * by_noise(i) * by_noise(k) + by_law(i, k)
     };
     let nuisance = (0..m.nuisances.len()).map(|i| NORMAL_95 * sd(i)).collect();
     let n = m.nuisances.len();

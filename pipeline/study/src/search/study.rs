@@ -1,6 +1,7 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
 use crate::candidates::columns::{self, Form};
+use crate::candidates::laws;
 use crate::candidates::springs::BY_TORQUE;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
@@ -452,7 +453,7 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
     if model.terms.is_empty() {
         return None;
     }
-    let intervals = intervals::intervals(m, model);
+    let all = intervals::intervals(m, model);
     (0..model.terms.len()).rev().find(|&t| {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
@@ -460,7 +461,10 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
         let gain = model.terms[t].is_gain_of_all();
         let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
         let needed = || !gain && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
-        let half = intervals.terms[t][0] / e.values[0].abs();
+        let mut half = all.terms[t][0] / e.values[0].abs();
+        if half > most && laws::has_other(e.kind) {
+            half = intervals::intervals_by_law(m, model, Some(t)).terms[t][0] / e.values[0].abs();
+        }
         linear && (half > NOTHING || half > most && !needed())
     })
 }
