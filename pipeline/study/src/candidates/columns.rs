@@ -346,8 +346,6 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
                 }
             }
         }
-        // of phases the simulated loop says it
-        EffectKind::Compliance if s.user.is_none() && s.phases.is_some() => {}
         EffectKind::Compliance => return springs::contribution(shape, s, c),
         EffectKind::TorqueSaturation => {
             // linear while the torque still rises with the current

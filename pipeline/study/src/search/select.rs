@@ -267,7 +267,7 @@ impl Material {
         };
         let kinds: Vec<EffectKind> = kinds.iter().copied().filter(open).collect();
         // a load on its spring, beside an inertia that may be anything
-        let spring = kinds.contains(&EffectKind::Compliance) && !self.bench.has_phases();
+        let spring = kinds.contains(&EffectKind::Compliance);
         let freed = fit::beside(&nuisances, spring.then_some(EffectKind::Compliance));
         let freed = freed.map(|n| of(&n));
         let mut all: Vec<Ranked> = kinds
