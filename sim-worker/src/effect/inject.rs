@@ -18,8 +18,6 @@ pub struct Injection {
     pub(super) ripple: Vec<Effect>,
     eccentricity: Vec<Effect>,
     short: Vec<Effect>,
-    /// those of them whose turns are bridged
-    pub(super) bridged: Vec<Effect>,
     pub(super) dead_time: Vec<Effect>,
     pub(super) saturation: Vec<Effect>,
     pub(super) encoder: Vec<Effect>,
@@ -72,7 +70,6 @@ impl Injection {
             ripple: Vec::new(),
             eccentricity: Vec::new(),
             short: Vec::new(),
-            bridged: Vec::new(),
             dead_time: Vec::new(),
             saturation: Vec::new(),
             encoder: Vec::new(),
@@ -123,9 +120,6 @@ impl Injection {
                     let turns = &mut all.turns[(b as usize).min(2)];
                     *turns = (*turns * (1.0 - a)).max(FEWEST_TURNS);
                     all.short.push(e.clone());
-                    if e.turns == Turns::Bridged {
-                        all.bridged.push(e.clone());
-                    }
                 }
                 EffectKind::CommutationOffset => all.commutation += a,
                 EffectKind::EncoderEccentricity => all.encoder.push(e.clone()),
@@ -166,10 +160,15 @@ impl Injection {
         self.friction.iter().map(|e| e.friction(s, &self.constants)).sum()
     }
 
+    /// Shorted turns that brake.
+    pub(super) fn bridged(&self) -> impl Iterator<Item = &Effect> + Clone {
+        self.short.iter().filter(|e| e.turns == Turns::Bridged)
+    }
+
     /// Torque against the motor [N m], but for friction and what acts on the torque constant.
     #[inline]
     pub fn torque(&self, s: &Signals) -> f64 {
-        let brakes: f64 = self.bridged.iter().map(|e| e.brake_torque(s, &self.constants)).sum();
+        let brakes: f64 = self.bridged().map(|e| e.brake_torque(s, &self.constants)).sum();
         self.torque.iter().map(|e| e.torque(s, &self.constants)).sum::<f64>() + brakes
     }
 

@@ -181,7 +181,7 @@ impl<const N: usize> LaneEffects<N> {
         self.newton_metre[l] = u.newton_metre;
         (self.amperes[l], self.volts[l]) = (u.ampere, u.volt);
         if let Some(e) = &own {
-            let of_motion = e.friction.iter().chain(&e.torque).chain(&e.bridged);
+            let of_motion = e.friction.iter().chain(&e.torque).chain(e.bridged());
             let by_levels = of_motion.chain(&e.ripple).chain(&e.encoder);
             self.levels |= by_levels.clone().next().is_some();
             let effects = by_levels.chain(&e.saturation).chain(&e.dead_time);

@@ -34,44 +34,44 @@ fn saturating(coefficient: f64, strongest: f64) -> Option<impl Fn(f64) -> f64> {
     Some(move |i: f64| 1.0 - (1.0 + (i / at).powi(2)).sqrt().recip() - coefficient * i.abs())
 }
 
-/// Whether there is another law of the effect.
-pub fn has_other(kind: EffectKind) -> bool {
-    use EffectKind as K;
-    matches!(kind, K::LubricatedRise | K::Stribeck | K::TorqueSaturation)
+/// Currents that give torque [A].
+fn currents<'a>(s: &'a Signals, c: &'a RigConstants) -> impl Iterator<Item = f64> + 'a {
+    moments(s, c).map(|m| m.current)
 }
 
-/// What another law of the effect would add to the torque beyond its own, at the same size. None for effects of one law.
+/// What another law of the effect would add to the torque of each run beyond its own, at the same size. None for effects of one
+/// law.
 ///
-/// * `shape`, `amplitudes` as fitted; `strongest` current of all runs [A]
+/// * `shape`, `amplitudes` as fitted
 pub fn otherwise(
     kind: EffectKind,
     shape: &[f64],
     amplitudes: &[f64],
-    (s, c): (&Signals, &RigConstants),
-    strongest: f64,
-) -> Option<Column> {
+    runs: &[Signals],
+    c: &RigConstants,
+) -> Option<Vec<Column>> {
     let size = *amplitudes.first()?;
-    let of_speed = |law: &dyn Fn(f64) -> f64| -> Vec<f64> {
-        let of = |k: usize| size * s.sign[k] * law(s.omega[k].abs() / shape[0]);
-        (0..s.n).map(of).collect()
+    let each = |signal: &dyn Fn(&Signals) -> Vec<f64>| -> Vec<Column> {
+        let column = |s| vec![Piece::of(Equation::Torque, 0, signal(s))];
+        runs.iter().map(column).collect()
     };
-    let signal = match kind {
+    let of_speed = |law: &dyn Fn(f64) -> f64| {
+        each(&|s| {
+            let of = |k: usize| size * s.sign[k] * law(s.omega[k].abs() / shape[0]);
+            (0..s.n).map(of).collect()
+        })
+    };
+    Some(match kind {
         EffectKind::LubricatedRise => of_speed(&rise),
         EffectKind::Stribeck => of_speed(&|x| fall(x, shape[1])),
         EffectKind::TorqueSaturation => {
-            let more = saturating(size, strongest)?;
+            let all = runs.iter().flat_map(|s| currents(s, c));
+            let more = saturating(size, all.fold(0.0, |a: f64, i| a.max(i.abs())))?;
             let taken = |i: f64| c.effect.torque_constant * i * more(i);
-            moments(s, c).map(|m| taken(m.current)).collect()
+            each(&|s| currents(s, c).map(taken).collect())
         }
         _ => return None,
-    };
-    Some(vec![Piece::of(Equation::Torque, 0, signal)])
-}
-
-/// Strongest current of runs [A].
-pub fn strongest(runs: &[Signals], c: &RigConstants) -> f64 {
-    let of = |s| moments(s, c).fold(0.0, |most: f64, m| most.max(m.current.abs()));
-    runs.iter().map(of).fold(0.0, f64::max)
+    })
 }
 
 #[cfg(test)]

@@ -124,14 +124,9 @@ fn scores(
 
 /// What other laws of the terms would add to the rows beyond their own, each; but for one term.
 fn otherwise(p: &Problem, m: &Material, fit: &Fit, but: Option<usize>) -> Vec<Vec<f64>> {
-    let strongest = laws::strongest(&p.signals, &m.constants);
-    let of = |t: &Term| -> Option<Vec<f64>> {
-        let all = p.signals.iter();
-        let pieces = all.map(|s| laws::otherwise(t.kind, &t.shape, &t.amplitudes, (s, &m.constants), strongest));
-        Some(p.column(&pieces.collect::<Option<Vec<_>>>()?))
-    };
+    let of = |t: &Term| laws::otherwise(t.kind, &t.shape, &t.amplitudes, &p.signals, &m.constants);
     let terms = fit.terms.iter().enumerate().filter(|(t, _)| Some(*t) != but);
-    terms.filter_map(|(_, t)| of(t)).collect()
+    terms.filter_map(|(_, t)| Some(p.column(&of(t)?))).collect()
 }
 
 /// Moves one number of a term.
@@ -228,16 +223,8 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
     let moved: Vec<DVector<f64>> = otherwise(p, m, fit, of)
         .iter()
         .map(|d| {
-            let right = |a: usize| {
-                scaled[a]
-                    .iter()
-                    .zip(d)
-                    .zip(&w)
-                    .map(|((x, d), w)| x * d * w)
-                    .sum::<f64>()
-                    / norm[a]
-            };
-            let x = &inverse * DVector::from_fn(count, |a, _| right(a));
+            let weighted: Vec<f64> = d.iter().zip(&w).map(|(d, w)| d * w).collect();
+            let x = &inverse * DVector::from_fn(count, |a, _| fit::dot(&scaled[a], &weighted) / norm[a]);
             DVector::from_fn(count, |a, _| x[a] / norm[a])
         })
         .collect();

@@ -1,7 +1,6 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
 use crate::candidates::columns::{self, Form};
-use crate::candidates::laws;
 use crate::candidates::springs::BY_TORQUE;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
@@ -461,9 +460,10 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
         let gain = model.terms[t].is_gain_of_all();
         let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
         let needed = || !gain && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
-        let mut half = all.terms[t][0] / e.values[0].abs();
-        if half > most && laws::has_other(e.kind) {
-            half = intervals::intervals_by_law(m, model, Some(t)).terms[t][0] / e.values[0].abs();
+        let size = e.values[0].abs();
+        let mut half = all.terms[t][0] / size;
+        if half > most {
+            half = intervals::intervals_by_law(m, model, Some(t)).terms[t][0] / size;
         }
         linear && (half > NOTHING || half > most && !needed())
     })
