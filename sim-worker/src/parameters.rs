@@ -1,6 +1,6 @@
 //! Actuator parameters: TOML in, checked values out.
 
-use crate::effect::{self, Draw, Effect, REFERENCE_TEMPERATURE_DEGC, Reads, Turns};
+use crate::effect::{self, Effect, REFERENCE_TEMPERATURE_DEGC};
 use schemas::error::{Error, Result};
 use schemas::fingerprint::{exact, fingerprint};
 use schemas::toml_section::{self, Section, quoted};
@@ -511,17 +511,11 @@ impl ActuatorParameters {
             if e.grows != 0.0 {
                 text += &format!(",grows,{}", exact(e.grows));
             }
-            if let Some(q) = e.sensor {
+            // a phase stands as its number
+            if let Some(q) = e.sensor() {
                 text += &format!(",sensor,{q}");
-            }
-            if e.draw != Draw::default() {
-                text += &format!(",draw,{}", e.draw.name());
-            }
-            if e.reads != Reads::default() {
-                text += &format!(",reads,{}", e.reads.name());
-            }
-            if e.turns != Turns::default() {
-                text += &format!(",turns,{}", e.turns.name());
+            } else if let Some((key, law)) = e.said_law() {
+                text += &format!(",{key},{law}");
             }
         }
         fingerprint(&text)

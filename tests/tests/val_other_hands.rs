@@ -8,6 +8,7 @@ use ema_tests::independent;
 use ema_tests::second::{self, Class};
 use pipeline::Findings;
 use pipeline::discrepancy::{Request, study_file};
+use sim_worker::effect::Law;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -170,7 +171,7 @@ fn val_a_sensor_a_delay_and_a_play_of_another_hand_are_found_as_they_are() {
         );
         assert!(said.lo <= hidden && hidden <= said.hi, "{effect}: {said:?} {hidden}");
         assert!((said.value / hidden - 1.0).abs() < 0.12, "{effect}: {said:?} {hidden}");
-        assert_eq!(found.effects[0].sensor, sensor);
+        assert_eq!(found.effects[0].law, sensor.map_or(Law::First, Law::Phase));
         // all of them hold their phases at 0.36 mH
         let inductance = found.retuned.iter().find(|r| r.name == "inductance").unwrap();
         assert!(
@@ -211,7 +212,7 @@ fn val_a_gain_of_one_sensor_and_a_supply_are_found_from_any_rest_angle() {
     let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
     assert_eq!((found.verdict.as_str(), names), ("named", vec!["current_gain"]));
     let (effect, gain) = (&found.effects[0], &found.effects[0].parameters[0]);
-    assert_eq!(effect.sensor, Some(1));
+    assert_eq!(effect.law, Law::Phase(1));
     assert!(gain.lo < 0.08 && 0.08 < gain.hi && gain.hi - gain.lo < 0.01, "{gain:?}");
     let constant = |name: &str| found.retuned.iter().find(|r| r.name == name);
     let supply = constant("supply_voltage").expect("it is measured");

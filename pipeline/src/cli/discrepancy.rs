@@ -12,7 +12,6 @@ use diagnoser::report::versioned;
 use ema_study::measured::bench::is_recording;
 use ema_study::told::verify::Verification;
 use schemas::error::{EXIT_LOSS, Error};
-use sim_worker::effect::{Draw, PHASES, Reads, Turns};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -116,19 +115,8 @@ fn to_text(f: &Findings) -> String {
         for p in &e.parameters {
             t += &(row(12, 8, &p.name, &p.unit, [p.value, p.lo, p.hi]) + "\n");
         }
-        if let Some(q) = e.sensor {
-            t += &format!("  in the sensor of phase {}\n", PHASES[q]);
-        }
-        match e.draw {
-            Draw::Power => {}
-            Draw::Bridge => t += "  by the current that the bridge draws and gives back, which no capacitor levels\n",
-            Draw::Legs => t += "  by the size of the legs' current, which no capacitor levels\n",
-        }
-        if e.reads == Reads::AngleAndSpeed {
-            t += "  in the measured speed too, which is of the same sensor\n";
-        }
-        if e.turns == Turns::Bridged {
-            t += "  bridged turns, whose own current brakes; the fraction is that of a contact without resistance\n";
+        if let Some(law) = e.law_in_words() {
+            t += &format!("  {law}\n");
         }
         if let Some(r) = &e.runner_up {
             t += &format!("  runner-up: {r}\n");

@@ -11,7 +11,7 @@ use ema_study::told::findings::{Findings, Identified};
 use ema_study::told::loop_effects::{self, Shown, Told};
 use ema_study::told::verify::{self, Verification};
 use ema_study::told::{in_loop, scale, sensors, source};
-use sim_worker::effect::EffectKind;
+use sim_worker::effect::{EffectKind, Law};
 use sim_worker::parameters::ActuatorParameters;
 use sim_worker::sensor::CurrentSampling;
 
@@ -83,7 +83,7 @@ impl Judge<'_> {
         let mut now = self.with_loop(&mut bench, outcome, now)?;
         let mut against = Vec::new();
         // points of a current that chatters do not tell its scale
-        let of_scale = |b: &Beside| b.kind == EffectKind::CurrentGain && b.sensor.is_none();
+        let of_scale = |b: &Beside| b.kind == EffectKind::CurrentGain && b.law == Law::First;
         if bench.own
             && let Some(at) = outcome.beside.iter().position(of_scale)
             && self.sampling(&bench, &now)? == CurrentSampling::Point

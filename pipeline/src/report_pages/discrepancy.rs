@@ -7,7 +7,6 @@ use super::discrepancy_figures::{
 use crate::report::{Layout, Lead, Report, Section, Table, TableRow, Tone, html};
 use anyhow::{Context as _, Result};
 use ema_study::told::findings::{ChannelGap, Findings, FoundEffect};
-use sim_worker::effect::{Draw, PHASES, Reads, Turns};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -150,23 +149,8 @@ fn effect(n: usize, e: &FoundEffect, blocks: &mut Blocks) -> Section {
     if let Some(alias) = &e.alias {
         text += &format!("- Another name of the same term: {}\n", line(alias));
     }
-    if let Some(q) = e.sensor {
-        text += &format!("- It is in the sensor of phase {}.\n", PHASES[q]);
-    }
-    text += match e.draw {
-        Draw::Power => "",
-        Draw::Bridge => {
-            "- The voltage goes by the current that the bridge draws and gives back at every moment: no capacitor levels it.\n"
-        }
-        Draw::Legs => {
-            "- The voltage goes by the size of the legs' current at every moment, not by the power that a link with a capacitor draws.\n"
-        }
-    };
-    if e.reads == Reads::AngleAndSpeed {
-        text += "- The measured speed is of the same sensor and has its error too; the speed loop acts on it.\n";
-    }
-    if e.turns == Turns::Bridged {
-        text += "- A contact bridges the turns, whose own current brakes the rotor. The fraction is that of a contact without resistance: with one there are more turns, with the same effect.\n";
+    if let Some(law) = e.law_in_words() {
+        text += &format!("- Its law: {law}.\n");
     }
     match &e.runner_up {
         Some(r) => text += &format!("- Runner-up: {}\n", line(r)),

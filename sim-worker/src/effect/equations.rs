@@ -2,7 +2,7 @@
 //! `kt i = J dw/dt + C w + friction + load + sum of effects`, voltages as
 //! `v = R i + L di/dt + ke w + sum of effects`.
 
-use super::{Draw, Effect, EffectKind, Reads, Turns};
+use super::{Effect, EffectKind, Law};
 use crate::exponential::{exp, power, tanh};
 use crate::parameters::ActuatorParameters;
 use crate::trig;
@@ -243,7 +243,7 @@ impl Effect {
     /// rest of the phase is left out.
     pub(super) fn bridge(&self, c: &Constants) -> Option<[f64; 3]> {
         let of_phase = 0.5 * c.torque_constant * c.torque_constant / c.resistance;
-        (self.turns == Turns::Bridged).then(|| {
+        (self.law == Law::Bridged).then(|| {
             let phase = TAU / 3.0 * self.values[1];
             [self.values[0] * of_phase, phase, c.pole_pairs]
         })
@@ -259,14 +259,14 @@ impl Effect {
     fn current_offset(&self, s: &Signals, c: &Constants) -> f64 {
         let a = self.values[0];
         let of = |q: usize| 0.5 * shape(c.pole_pairs * s.theta - TAU / 3.0 * q as f64);
-        self.sensor.map_or(a, |q| a * of(q))
+        self.sensor().map_or(a, |q| a * of(q))
     }
 
     /// What a gain of current sensors adds to the measured current that gives torque [A]; that of one phase of three counts
     /// where the phase conducts, by its shape.
     fn current_gain(&self, s: &Signals, c: &Constants) -> f64 {
         let part = s.current * self.values[0] / (1.0 + self.values[0]);
-        self.sensor.map_or(part, |q| {
+        self.sensor().map_or(part, |q| {
             let on = conducting(s.theta, c.pole_pairs)[q];
             0.5 * part * on * shape(c.pole_pairs * s.theta - TAU / 3.0 * q as f64)
         })
@@ -277,11 +277,11 @@ impl Effect {
         let a = self.values[0];
         match self.kind {
             EffectKind::WindingHeating => c.resistance * (self.resistance_factor() - 1.0) * s.current,
-            EffectKind::SupplySag => match self.draw {
-                Draw::Power => a * s.duty * s.duty * s.current,
+            EffectKind::SupplySag => match self.law {
                 // legs of a pair that are never up together, with the current or against it
-                Draw::Bridge => a * s.current,
-                Draw::Legs => a * s.duty * s.current.abs(),
+                Law::Bridge => a * s.current,
+                Law::Legs => a * s.duty * s.current.abs(),
+                _ => a * s.duty * s.duty * s.current,
             },
             EffectKind::DeadTime => 2.0 * self.leg_drop(s.current),
             EffectKind::CurrentOffset => -self.current_offset(s, c) * c.resistance,
@@ -339,8 +339,8 @@ impl Effect {
 
     /// Measured speed over the true one, less 1, where the speed is that of the angle's sensor.
     pub fn speed_error(&self, theta: f64) -> f64 {
-        match (self.kind, self.reads) {
-            (EffectKind::EncoderEccentricity, Reads::AngleAndSpeed) => off_centre(self.values, theta).1,
+        match self.law {
+            Law::AngleAndSpeed => off_centre(self.values, theta).1,
             _ => 0.0,
         }
     }

@@ -1,14 +1,11 @@
 //! An effect as a table `[[effect]]` of the actuator's file.
 
-use super::{Draw, Effect, EffectKind, Note, Reads, Turns};
+use super::{Effect, EffectKind, LawKey, Note};
 use schemas::error::Result;
 use schemas::toml_section::{Section, quoted};
 
 /// Greatest number of effects of an actuator.
 pub const MOST: usize = 16;
-
-/// Names of the phases.
-pub const PHASES: [&str; 3] = ["a", "b", "c"];
 
 /// Reads the tables `[[effect]]` of an actuator whose rotor has the inertia `inertia` [kg m2].
 ///
@@ -78,37 +75,11 @@ pub fn read(s: &mut Section, inertia: f64) -> Result<Vec<Effect>> {
                 allowed,
             )?;
         }
-        if t.may_have("sensor") {
-            let phase = |name: &str| PHASES.iter().position(|p| *p == name);
-            e.sensor = Some(match kind {
-                EffectKind::CurrentOffset | EffectKind::CurrentGain => t.one_of("sensor", "a, b or c", phase)?,
-                _ => t.one_of("sensor", "nothing: it is in no sensor of a phase", |_| None)?,
-            });
-        }
-        if t.may_have("draw") {
-            let draw = |name: &str| Draw::ALL.into_iter().find(|d| d.name() == name);
-            e.draw = match kind {
-                EffectKind::SupplySag => t.one_of("draw", "power, bridge or legs", draw)?,
-                _ => t.one_of("draw", "nothing: it is in no source", |_| None)?,
-            };
-        }
-        if t.may_have("reads") {
-            let reads = |name: &str| {
-                [Reads::Angle, Reads::AngleAndSpeed]
-                    .into_iter()
-                    .find(|r| r.name() == name)
-            };
-            e.reads = match kind {
-                EffectKind::EncoderEccentricity => t.one_of("reads", "angle or angle_and_speed", reads)?,
-                _ => t.one_of("reads", "nothing: it is in no sensor of the angle", |_| None)?,
-            };
-        }
-        if t.may_have("turns") {
-            let turns = |name: &str| [Turns::Lost, Turns::Bridged].into_iter().find(|t| t.name() == name);
-            e.turns = match kind {
-                EffectKind::TurnShort => t.one_of("turns", "lost or bridged", turns)?,
-                _ => t.one_of("turns", "nothing: it is in no winding", |_| None)?,
-            };
+        for key in LawKey::ALL {
+            if t.may_have(key.name) {
+                let own = kind.law_key().filter(|k| *k == key);
+                e.law = t.one_of(key.name, &key.allowed(own.is_some()), |name| own?.law(name))?;
+            }
         }
         e.source = t.text_or("source", "assumed")?;
         if t.may_have("parent") {
@@ -156,17 +127,8 @@ impl Effect {
         if self.grows != 0.0 {
             out += &format!("grows = {:?}\n", self.grows);
         }
-        if let Some(q) = self.sensor {
-            out += &format!("sensor = \"{}\"\n", PHASES[q]);
-        }
-        if self.draw != Draw::default() {
-            out += &format!("draw = \"{}\"\n", self.draw.name());
-        }
-        if self.reads != Reads::default() {
-            out += &format!("reads = \"{}\"\n", self.reads.name());
-        }
-        if self.turns != Turns::default() {
-            out += &format!("turns = \"{}\"\n", self.turns.name());
+        if let Some((key, law)) = self.said_law() {
+            out += &format!("{key} = \"{law}\"\n");
         }
         out += &format!("source = {}\n", quoted(&self.source));
         if !self.provenance.is_empty() {

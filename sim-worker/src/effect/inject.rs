@@ -1,7 +1,7 @@
 //! The effects of an actuator, sorted by where they act, for test bench and simplified model.
 
 use super::equations::REFERENCE_TEMPERATURE_DEGC;
-use super::{Constants, Dahl, DelayLine, Draw, Effect, EffectKind, Reads, Signals, Turns, TwoMass, commutation_share};
+use super::{Constants, Dahl, DelayLine, Effect, EffectKind, Law, Signals, TwoMass, commutation_share};
 use crate::parameters::ActuatorParameters;
 
 /// Effects of one actuator; those without amplitude are left out. Winding heating and backlash
@@ -28,7 +28,7 @@ pub struct Injection {
     /// resistance of the source [ohm]
     pub source: f64,
     /// what its voltage goes by
-    pub draw: Draw,
+    pub draw: Law,
     /// gain of the measured current `gain i + offset`
     pub gain: f64,
     /// gain of each phase's sensor
@@ -76,7 +76,7 @@ impl Injection {
             turns: [1.0; 3],
             commutation: 0.0,
             source: 0.0,
-            draw: Draw::default(),
+            draw: Law::First,
             gain: 1.0,
             gains: [1.0; 3],
             offset: 0.0,
@@ -111,8 +111,8 @@ impl Injection {
                 EffectKind::Backlash | EffectKind::WindingHeating => {}
                 EffectKind::SupplySag => {
                     all.source += a;
-                    if e.draw != Draw::default() {
-                        all.draw = e.draw;
+                    if e.law != Law::First {
+                        all.draw = e.law;
                     }
                 }
                 EffectKind::DeadTime => all.dead_time.push(e.clone()),
@@ -123,11 +123,11 @@ impl Injection {
                 }
                 EffectKind::CommutationOffset => all.commutation += a,
                 EffectKind::EncoderEccentricity => all.encoder.push(e.clone()),
-                EffectKind::CurrentOffset => match e.sensor {
+                EffectKind::CurrentOffset => match e.sensor() {
                     Some(q) => all.sensors[q] += a,
                     None => all.offset += a,
                 },
-                EffectKind::CurrentGain => match e.sensor {
+                EffectKind::CurrentGain => match e.sensor() {
                     Some(q) => {
                         all.gains[q] *= 1.0 + a;
                         // the relay that sees the greatest current holds it, in two sixths of a turn of three
@@ -162,7 +162,7 @@ impl Injection {
 
     /// Shorted turns that brake.
     pub(super) fn bridged(&self) -> impl Iterator<Item = &Effect> + Clone {
-        self.short.iter().filter(|e| e.turns == Turns::Bridged)
+        self.short.iter().filter(|e| e.law == Law::Bridged)
     }
 
     /// Torque against the motor [N m], but for friction and what acts on the torque constant.
@@ -182,7 +182,7 @@ impl Injection {
                 [warm, self.constants.coulomb, self.constants.viscous]
             }
             EffectKind::EncoderEccentricity => {
-                let of_speed = f64::from(u8::from(e.reads == Reads::AngleAndSpeed));
+                let of_speed = f64::from(u8::from(e.law == Law::AngleAndSpeed));
                 [a, e.values[1], of_speed]
             }
             EffectKind::TurnShort => e.bridge(&self.constants).unwrap_or_default(),

@@ -1,4 +1,6 @@
-//! Names, parameter keys, units and physical bounds of the effects.
+//! Names, parameter keys, units, physical bounds and laws of the effects.
+
+use super::law::{self, LawKey};
 
 /// Equation of the actuator in which an effect appears first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -71,7 +73,7 @@ const TURN: f64 = std::f64::consts::TAU;
 
 macro_rules! effects {
     ($($(#[$doc:meta])* $variant:ident $name:literal $equation:ident
-        [$($key:literal $unit:literal $low:expr, $high:expr);*])+) => {
+        [$($key:literal $unit:literal $low:expr, $high:expr);*] $(=> $law:ident)?)+) => {
         /// Every effect that the project knows, after the candidates of the discrepancy method.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         pub enum EffectKind { $($(#[$doc])* $variant),+ }
@@ -88,6 +90,11 @@ macro_rules! effects {
             /// The equation where it appears first.
             pub fn equation(self) -> Equation {
                 match self { $(Self::$variant => Equation::$equation),+ }
+            }
+
+            /// The key that says which law it follows; none for kinds of one law.
+            pub fn law_key(self) -> Option<&'static LawKey> {
+                match self { $(Self::$variant => [$(&law::$law)?].first().copied()),+ }
             }
 
             /// Pairs of its parameters, as [`super::Effect::correlation`] has them.
@@ -148,19 +155,19 @@ effects! {
     /// `R a (T - T0)`: a winding warmer by delta_t.
     WindingHeating "winding_heating" Electrical ["delta_t" "K" 0.0, 300.0]
     /// The source gives `Vs - Rs i_s`.
-    SupplySag "supply_sag" Electrical ["resistance" "ohm" 0.0, INF]
+    SupplySag "supply_sag" Electrical ["resistance" "ohm" 0.0, INF] => DRAW
     /// `Vd sgn i`, smoothed: dead time and diodes of the bridge.
     DeadTime "dead_time" Electrical ["voltage" "V" 0.0, INF]
     /// A fraction of one phase's turns is shorted: its R, L and ke are smaller.
-    TurnShort "turn_short" Electrical ["fraction" "-" 0.0, 1.0; "phase" "-" 0.0, 2.0]
+    TurnShort "turn_short" Electrical ["fraction" "-" 0.0, 1.0; "phase" "-" 0.0, 2.0] => TURNS
     /// The electrical angle of the commutation is off.
     CommutationOffset "commutation_offset" Torque ["angle" "rad" -1.6, 1.6]
     /// The measured angle is `theta + eps sin(theta + phi)`.
-    EncoderEccentricity "encoder_eccentricity" Kinematic ["amplitude" "rad" 0.0, 1.0; "phase" "rad" -TURN, TURN]
+    EncoderEccentricity "encoder_eccentricity" Kinematic ["amplitude" "rad" 0.0, 1.0; "phase" "rad" -TURN, TURN] => READS
     /// The measured current is `i + i0`.
-    CurrentOffset "current_offset" Electrical ["current" "A" -INF, INF]
+    CurrentOffset "current_offset" Electrical ["current" "A" -INF, INF] => SENSOR
     /// The measured current is `(1 + g) i`.
-    CurrentGain "current_gain" Electrical ["gain" "-" -0.9, 9.0]
+    CurrentGain "current_gain" Electrical ["gain" "-" -0.9, 9.0] => SENSOR
     /// The controller's output comes late.
     ControlDelay "control_delay" Controller ["delay" "s" 0.0, 1.0]
 }

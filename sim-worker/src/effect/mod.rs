@@ -6,6 +6,7 @@ mod equations;
 mod file;
 mod inject;
 mod kind;
+mod law;
 mod over_lanes;
 mod state;
 #[cfg(test)]
@@ -18,9 +19,10 @@ use nalgebra::DMatrix;
 pub use equations::{
     COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, flux, shape,
 };
-pub use file::{MOST, PHASES, read};
+pub use file::{MOST, read};
 pub use inject::Injection;
 pub use kind::{EffectKind, Equation, ParameterKey};
+pub use law::{Law, LawKey, PHASES};
 pub use over_lanes::{Felt, LaneEffects};
 pub use state::{Dahl, DelayLine, Play, TwoMass};
 
@@ -34,72 +36,6 @@ pub enum Note {
     Text(String),
     /// a number, for example a score
     Number(f64),
-}
-
-/// What the voltage of a source with a resistance goes by.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Draw {
-    /// the current that the bridge draws and gives back, levelled by the link's capacitor
-    #[default]
-    Power,
-    /// that current at every moment: nothing levels it
-    Bridge,
-    /// the size of the current of the legs that are switched up, at every moment: nothing levels it, and nothing comes back
-    Legs,
-}
-
-impl Draw {
-    /// All laws.
-    pub const ALL: [Self; 3] = [Self::Power, Self::Bridge, Self::Legs];
-
-    /// In files and reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Power => "power",
-            Self::Bridge => "bridge",
-            Self::Legs => "legs",
-        }
-    }
-}
-
-/// What a sensor measures whose error an effect is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Reads {
-    /// the angle; the speed has a sensor of its own
-    #[default]
-    Angle,
-    /// the angle, and the speed from it: both have the error, and the speed loop acts on it
-    AngleAndSpeed,
-}
-
-impl Reads {
-    /// In files and reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Angle => "angle",
-            Self::AngleAndSpeed => "angle_and_speed",
-        }
-    }
-}
-
-/// What has become of the turns of a phase that are short.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Turns {
-    /// the phase has fewer of them
-    #[default]
-    Lost,
-    /// a contact bridges them: its back-EMF drives a current through them that brakes the rotor
-    Bridged,
-}
-
-impl Turns {
-    /// In files and reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Lost => "lost",
-            Self::Bridged => "bridged",
-        }
-    }
 }
 
 /// An effect with its parameters; SI units, motor side.
@@ -118,15 +54,8 @@ pub struct Effect {
     /// share of the amplitude that grows with the friction fault: times `1 + grows (FSJ - 1)`. 0 but for levels of
     /// friction ([`EffectKind::is_friction`]), of which nobody knows without a worn unit
     pub grows: f64,
-    /// of `current_offset` and `current_gain` in an actuator of three phases: the one whose sensor has it (0, 1, 2). `None`: nobody says, and
-    /// the equivalent current has it, in the phases that conduct, by their signs
-    pub sensor: Option<usize>,
-    /// of `supply_sag`: what the source's voltage goes by
-    pub draw: Draw,
-    /// of `encoder_eccentricity`: what the sensor measures
-    pub reads: Reads,
-    /// of `turn_short`: what has become of the turns
-    pub turns: Turns,
+    /// which law of its kind it follows
+    pub law: Law,
     /// fingerprint of the actuator to which the effect was added
     pub parent: Option<String>,
     /// how it was identified: data, runs, score, runner-up ...; keys in the order of the alphabet
@@ -145,12 +74,30 @@ impl Effect {
             correlation: None,
             source: "assumed".into(),
             grows: 0.0,
-            sensor: None,
-            draw: Draw::Power,
-            reads: Reads::Angle,
-            turns: Turns::Lost,
+            law: Law::First,
             parent: None,
             provenance: Vec::new(),
+        }
+    }
+
+    /// By another law of its kind.
+    #[must_use]
+    pub fn by(mut self, law: Law) -> Self {
+        self.law = law;
+        self
+    }
+
+    /// Key and name of its law, where it is not the first of the kind.
+    pub fn said_law(&self) -> Option<(&'static str, &'static str)> {
+        let key = self.kind.law_key().filter(|_| self.law != Law::First)?;
+        Some((key.name, key.of(self.law)?))
+    }
+
+    /// The phase whose sensor has it, where somebody says (0, 1, 2).
+    pub fn sensor(&self) -> Option<usize> {
+        match self.law {
+            Law::Phase(q) => Some(q),
+            _ => None,
         }
     }
 

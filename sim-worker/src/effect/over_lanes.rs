@@ -1,7 +1,7 @@
 //! The effects of all lanes of a test bench, side by side: what has no state of its own runs over the lanes.
 
 use super::inject::Injection;
-use super::{Draw, EffectKind, equations};
+use super::{EffectKind, Law, equations};
 use crate::control::pick;
 use crate::lanes::Units;
 use crate::parameters::ActuatorParameters;
@@ -203,10 +203,10 @@ impl<const N: usize> LaneEffects<N> {
             self.delayed |= e.delay.is_some();
             let felt = &mut self.felt;
             felt.sag[l] = 0.5 * e.source * u.volt / u.ampere;
-            if e.draw != Draw::Power {
+            if e.draw != Law::First {
                 felt.bus[l] = 1.0;
             }
-            felt.by_size[l] = e.draw == Draw::Legs;
+            felt.by_size[l] = e.draw == Law::Legs;
             self.currents |= self.electrical || self.dead_time || self.saturated;
             self.currents |= e.source != 0.0 || e.offset != 0.0 || e.gains != [1.0; 3] || e.sensors != [0.0; 3];
             (0..3).for_each(|q| felt.gain[q][l] = e.gains[q]);
@@ -426,9 +426,8 @@ impl<const N: usize> LaneEffects<N> {
     pub fn sag(&self, l: usize, mean: f64) -> f64 {
         let now = self.felt.supply[l] / self.amperes[l];
         let of = |e: &Injection| match e.draw {
-            Draw::Power => now,
-            Draw::Bridge | Draw::Legs if mean.is_nan() => now,
-            Draw::Bridge | Draw::Legs => mean,
+            Law::Bridge | Law::Legs if !mean.is_nan() => mean,
+            _ => now,
         };
         self.lanes[l].as_ref().map_or(0.0, |e| e.source * of(e))
     }

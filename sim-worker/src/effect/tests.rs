@@ -116,10 +116,7 @@ fn parse(more: &str) -> schemas::error::Result<ActuatorParameters> {
 #[test]
 fn prop_an_angle_sensor_says_whether_the_speed_is_its_own_and_nothing_else_does() {
     let angle = visible(EffectKind::EncoderEccentricity);
-    let both = Effect {
-        reads: Reads::AngleAndSpeed,
-        ..angle.clone()
-    };
+    let both = angle.clone().by(Law::AngleAndSpeed);
     assert!(!angle.to_toml().contains("reads"), "files of before stay as they are");
     assert_eq!(parse(&both.to_toml()).unwrap().effects, std::slice::from_ref(&both));
     assert_ne!(
@@ -139,10 +136,7 @@ fn prop_an_angle_sensor_says_whether_the_speed_is_its_own_and_nothing_else_does(
 #[test]
 fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
     let power = visible(EffectKind::SupplySag);
-    let legs = Effect {
-        draw: Draw::Legs,
-        ..power.clone()
-    };
+    let legs = power.clone().by(Law::Legs);
     assert!(!power.to_toml().contains("draw"), "files of before stay as they are");
     assert_eq!(parse(&legs.to_toml()).unwrap().effects, std::slice::from_ref(&legs));
     let said = format!("{}draw = \"power\"\n", power.to_toml());
@@ -166,10 +160,7 @@ fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
 #[test]
 fn prop_short_turns_say_what_has_become_of_them_and_nothing_else_does() {
     let lost = visible(EffectKind::TurnShort);
-    let bridged = Effect {
-        turns: Turns::Bridged,
-        ..lost.clone()
-    };
+    let bridged = lost.clone().by(Law::Bridged);
     assert!(!lost.to_toml().contains("turns ="), "files of before stay as they are");
     for e in [&lost, &bridged] {
         assert_eq!(parse(&e.to_toml()).unwrap().effects, std::slice::from_ref(e));
@@ -214,10 +205,9 @@ fn prop_every_kind_reads_back_as_it_was_written() {
         let read = parse(&two).unwrap().effects;
         assert_eq!(read, [e, visible(EffectKind::Cogging)], "{two}");
     }
-    let mut offset = visible(EffectKind::CurrentOffset);
-    offset.sensor = Some(2);
+    let offset = visible(EffectKind::CurrentOffset).by(Law::Phase(2));
     assert!(offset.to_toml().contains("sensor = \"c\""));
-    assert_eq!(parse(&offset.to_toml()).unwrap().effects, [offset.clone()]);
+    assert_eq!(parse(&offset.to_toml()).unwrap().effects, std::slice::from_ref(&offset));
     let of = |e: &Effect| with(std::slice::from_ref(e)).fingerprint();
     assert_ne!(of(&offset), of(&visible(EffectKind::CurrentOffset)));
     let short = "[[effect]]\nname = \"presliding\"\nstiffness = 3\n";

@@ -137,10 +137,7 @@ fn prop_torques_are_the_equations_of_the_recorded_signals() {
 fn prop_bridged_turns_brake_by_the_heat_of_their_current() {
     let com = sine(40_000, DT);
     for q in 0..3 {
-        let e = Effect {
-            turns: Turns::Bridged,
-            ..Effect::new(EffectKind::TurnShort, &[0.2, q as f64])
-        };
+        let e = Effect::new(EffectKind::TurnShort, &[0.2, q as f64]).by(Law::Bridged);
         let p = with(std::slice::from_ref(&e));
         let c = Constants::of(&p, 1.0);
         let r = record(&p, &com);
@@ -171,10 +168,7 @@ fn prop_bridged_turns_brake_by_the_heat_of_their_current() {
 fn prop_shares_of_the_torque_constant_are_the_equations_of_the_recorded_signals() {
     use EffectKind::*;
     let com = sine(40_000, DT);
-    let one = |q: usize| Effect {
-        sensor: Some(q),
-        ..visible(CurrentOffset)
-    };
+    let one = |q: usize| visible(CurrentOffset).by(Law::Phase(q));
     for (e, tolerance) in [
         (TorqueRipple, 1e-9),
         (CurrentOffset, 1e-9),
@@ -212,10 +206,9 @@ fn prop_shares_of_the_torque_constant_are_the_equations_of_the_recorded_signals(
 
 #[test]
 fn prop_an_offset_of_one_sensor_is_what_the_phases_add_up_to_and_hardly_felt() {
-    let mut e = visible(EffectKind::CurrentOffset);
-    e.sensor = Some(1);
+    let e = visible(EffectKind::CurrentOffset).by(Law::Phase(1));
     let com = sine(40_000, DT);
-    let [r, plain] = [with(&[e.clone()]), with(&[])].map(|p| record(&p, &com));
+    let [r, plain] = [with(std::slice::from_ref(&e)), with(&[])].map(|p| record(&p, &com));
     for k in 0..com.len() {
         assert!((r.i[0][k] + r.i[1][k] + r.i[2][k] - e.values[0]).abs() < 1e-9);
     }
@@ -234,10 +227,7 @@ fn prop_a_gain_of_one_sensor_is_what_the_phases_add_up_to() {
     let plain = record(&with(&[]), &com);
     for q in 0..3 {
         for gain in [0.1, -0.1] {
-            let e = Effect {
-                sensor: Some(q),
-                ..Effect::new(EffectKind::CurrentGain, &[gain])
-            };
+            let e = Effect::new(EffectKind::CurrentGain, &[gain]).by(Law::Phase(q));
             let r = record(&with(&[e]), &com);
             for k in 0..com.len() {
                 let true_current = r.i[q][k] / (1.0 + gain);
@@ -251,10 +241,7 @@ fn prop_a_gain_of_one_sensor_is_what_the_phases_add_up_to() {
     }
     // all three alike are what a gain of all is
     let each: Vec<Effect> = (0..3)
-        .map(|q| Effect {
-            sensor: Some(q),
-            ..Effect::new(EffectKind::CurrentGain, &[0.1])
-        })
+        .map(|q| Effect::new(EffectKind::CurrentGain, &[0.1]).by(Law::Phase(q)))
         .collect();
     let [one, all] = [each, vec![Effect::new(EffectKind::CurrentGain, &[0.1])]].map(|e| record(&with(&e), &com));
     assert!(one.omega == all.omega && one.i == all.i);
@@ -274,18 +261,18 @@ fn prop_voltages_are_the_equations_of_the_recorded_signals() {
     use EffectKind::*;
     // full speed and a stop
     let com: Vec<f64> = (0..60_000).map(|k| if k < 40_000 { 0.05 } else { 0.04 }).collect();
-    for (kind, draw, tolerance) in [
-        (WindingHeating, Draw::Power, 1e-6),
-        (DeadTime, Draw::Power, 0.1),
-        (SupplySag, Draw::Power, 0.15),
+    for (kind, law, tolerance) in [
+        (WindingHeating, Law::First, 1e-6),
+        (DeadTime, Law::First, 0.1),
+        (SupplySag, Law::First, 0.15),
         // between two changes of a relay legs may be up together, which draw nothing
-        (SupplySag, Draw::Bridge, 0.4),
-        (SupplySag, Draw::Legs, 0.15),
-        (TurnShort, Draw::Power, 0.15),
-        (TorqueRipple, Draw::Power, 0.1),
-        (Eccentricity, Draw::Power, 0.1),
+        (SupplySag, Law::Bridge, 0.4),
+        (SupplySag, Law::Legs, 0.15),
+        (TurnShort, Law::First, 0.15),
+        (TorqueRipple, Law::First, 0.1),
+        (Eccentricity, Law::First, 0.1),
     ] {
-        let e = Effect { draw, ..visible(kind) };
+        let e = visible(kind).by(law);
         let p = with(std::slice::from_ref(&e));
         let c = Constants::of(&p, 1.0);
         let r = record(&p, &com);
@@ -398,10 +385,7 @@ fn prop_effects_with_a_state_are_their_machines_driven_by_the_recorded_motion() 
         assert!((theta + e.angle_error(theta) - r.theta[k]).abs() < 1e-9);
     }
     // where the speed is that sensor's too, the two agree, and the loop acts on it
-    let both = Effect {
-        reads: Reads::AngleAndSpeed,
-        ..e.clone()
-    };
+    let both = e.clone().by(Law::AngleAndSpeed);
     let seen = record(&with(std::slice::from_ref(&both)), &com);
     let mut theta = seen.theta[0];
     for k in 1..com.len() {

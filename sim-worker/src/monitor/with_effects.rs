@@ -3,7 +3,7 @@
 //! implicit step by its slope.
 
 use super::{MonitorModel, limit};
-use crate::effect::{Draw, Injection, Signals};
+use crate::effect::{Injection, Law, Signals};
 use crate::parameters::ActuatorParameters;
 use crate::plant::{backlash, end_stop};
 
@@ -133,8 +133,8 @@ impl MonitorModel {
         let v = x.impedance * i - x.l_dt * x.i + emf;
         x.supply = match e.draw {
             _ if volts <= 0.0 => 0.0,
-            Draw::Legs => i.abs(),
-            Draw::Power | Draw::Bridge => v / volts * i,
+            Law::Legs => i.abs(),
+            _ => v / volts * i,
         };
         x.rate = (i - x.i) / dt;
         x.i = i;

@@ -8,7 +8,7 @@ use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::samples::{rate_of, shifted};
 use crate::equations::signals::Signals;
-use sim_worker::effect::{self, Draw, Effect, EffectKind, Equation, Reads, Turns};
+use sim_worker::effect::{self, Effect, EffectKind, Equation, Law};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
@@ -456,15 +456,14 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
         Form::Heating if shape.first().is_some_and(|s| *s > 0.5) => vec![a(0)],
         Form::Heating => vec![a(0) * hottest],
     };
-    let mut e = Effect::new(kind, &values).wrapped();
-    match kind {
-        EffectKind::SupplySag if shape.first() == Some(&LEGS) => e.draw = Draw::Legs,
-        EffectKind::TurnShort if shape.get(1) == Some(&BRIDGED) => e.turns = Turns::Bridged,
-        EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => e.reads = Reads::AngleAndSpeed,
-        EffectKind::CurrentGain => e.sensor = shape.first().map(|q| *q as usize),
-        _ => {}
-    }
-    e
+    let law = match kind {
+        EffectKind::SupplySag if shape.first() == Some(&LEGS) => Law::Legs,
+        EffectKind::TurnShort if shape.get(1) == Some(&BRIDGED) => Law::Bridged,
+        EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => Law::AngleAndSpeed,
+        EffectKind::CurrentGain => shape.first().map_or(Law::First, |q| Law::Phase(*q as usize)),
+        _ => Law::First,
+    };
+    Effect::new(kind, &values).wrapped().by(law)
 }
 
 /// Shape parameters and amplitudes of an effect: the way back.
@@ -472,19 +471,19 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
     let v = &e.values[..e.kind.keys().len()];
     match form(e.kind) {
         Form::Amplitude if e.kind == EffectKind::CurrentGain => {
-            let of = e.sensor.map(|q| q as f64);
+            let of = e.sensor().map(|q| q as f64);
             (of.into_iter().collect(), vec![v[0] / (1.0 + v[0])])
         }
         Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
         Form::Amplitude if e.kind == EffectKind::SupplySag => {
-            (vec![if e.draw == Draw::Legs { LEGS } else { 2.0 }], vec![v[0]])
+            (vec![if e.law == Law::Legs { LEGS } else { 2.0 }], vec![v[0]])
         }
-        Form::Amplitude if e.turns == Turns::Bridged => (vec![v[1], BRIDGED], vec![v[0]]),
+        Form::Amplitude if e.law == Law::Bridged => (vec![v[1], BRIDGED], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::DeadTime => (vec![0.05], vec![v[0]]),
         Form::Amplitude => (v[1..].to_vec(), vec![v[0]]),
         Form::Periodic if e.kind == EffectKind::EncoderEccentricity => {
-            let of_speed = f64::from(u8::from(e.reads == Reads::AngleAndSpeed));
+            let of_speed = f64::from(u8::from(e.law == Law::AngleAndSpeed));
             (vec![of_speed], vec![v[0] * v[1].cos(), v[0] * v[1].sin(), 0.0, 0.0])
         }
         Form::Periodic => (v[2..].to_vec(), vec![v[0] * v[1].cos(), -v[0] * v[1].sin()]),

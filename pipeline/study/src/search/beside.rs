@@ -12,7 +12,7 @@ use crate::measured::recording::Run;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals::intervals;
 use crate::search::select::Material;
-use sim_worker::effect::{COPPER_PER_K, Draw, EffectKind, Equation, NORMAL_95, conducting};
+use sim_worker::effect::{COPPER_PER_K, EffectKind, Equation, Law, NORMAL_95, conducting};
 
 /// An effect that was found beside the equations.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,10 +23,8 @@ pub struct Beside {
     pub value: f64,
     /// half-width of its 95 % interval
     pub half: f64,
-    /// phase whose sensor has it, of an offset (0, 1, 2)
-    pub sensor: Option<usize>,
-    /// of a source: what its voltage goes by
-    pub draw: Draw,
+    /// which law of its kind it follows
+    pub law: Law,
     /// its second parameter, where it has one
     pub second: Option<f64>,
     /// what it is seen in
@@ -168,8 +166,7 @@ pub fn found(
         kind,
         value,
         half: NORMAL_95 * sd,
-        sensor: None,
-        draw: Draw::Power,
+        law: Law::First,
         second: None,
         seen_in: seen_in.0,
         unit: seen_in.1,
@@ -289,7 +286,7 @@ fn offset(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> {
     let sd = sd.hypot(believed);
     let seen = ("sum of the phase currents", "A");
     holds(value, sd, LEAST_OFFSET * believed, before, after).then(|| Beside {
-        sensor: sensor_of(m, model, find, value),
+        law: sensor_of(m, model, find, value).map_or(Law::First, Law::Phase),
         ..found(EffectKind::CurrentOffset, (value, sd), seen, (before, after))
     })
 }

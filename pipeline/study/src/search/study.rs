@@ -13,7 +13,7 @@ use crate::search::remainder;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
 use crate::search::verdict::{SLOW_S, Verdict, WORTH, conclude};
-use sim_worker::effect::{Draw, EffectKind, Equation};
+use sim_worker::effect::{EffectKind, Equation, Law};
 
 /// Most effects that one study adds.
 pub const MOST_EFFECTS: usize = 4;
@@ -52,7 +52,7 @@ pub struct OfLoop {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Source {
     /// what its voltage goes by
-    pub draw: Draw,
+    pub draw: Law,
     /// resistance [ohm]
     pub ohm: f64,
     /// its standard deviation [ohm]

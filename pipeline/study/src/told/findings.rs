@@ -2,7 +2,7 @@
 
 use crate::told::verify::Verification;
 use serde_json::{Map, Value, json};
-use sim_worker::effect::{Draw, EffectKind, PHASES, Reads, Turns};
+use sim_worker::effect::{EffectKind, Law, LawKey, PHASES};
 
 /// An identified number.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,14 +56,8 @@ pub struct FoundEffect {
     pub ambiguous_with: Vec<String>,
     /// another name of the same term
     pub alias: Option<String>,
-    /// phase whose sensor has it, of an offset or a gain (0, 1, 2)
-    pub sensor: Option<usize>,
-    /// what a source with a resistance goes by
-    pub draw: Draw,
-    /// of `encoder_eccentricity`: what the sensor measures
-    pub reads: Reads,
-    /// of `turn_short`: what has become of the turns
-    pub turns: Turns,
+    /// which law of its kind it follows
+    pub law: Law,
     /// channel in which the effect lives
     pub channel: String,
     /// gap of that channel on held-out data without it and with it; `None` where nothing was held out
@@ -261,6 +255,30 @@ fn identified(all: &[Identified]) -> Value {
     Value::Object(map)
 }
 
+impl FoundEffect {
+    /// What sets its law apart from the first of its kind.
+    pub fn law_in_words(&self) -> Option<String> {
+        let text = match self.law {
+            Law::First => return None,
+            Law::Phase(q) => return Some(format!("in the sensor of phase {}", PHASES[q])),
+            Law::Bridge => {
+                "by the current that the bridge draws and gives back at every moment, which no capacitor levels"
+            }
+            Law::Legs => {
+                "by the size of the legs' current at every moment, not by the power that a link with a capacitor draws"
+            }
+            Law::AngleAndSpeed => {
+                "in the measured speed too, which is of the same sensor, and the speed loop acts on it"
+            }
+            Law::Bridged => {
+                "a contact bridges the turns, whose own current brakes; the fraction is that of a contact without resistance: with one \
+                 there are more turns, with the same effect"
+            }
+        };
+        Some(text.into())
+    }
+}
+
 impl Findings {
     /// `report.json`.
     pub fn to_json(&self) -> Value {
@@ -268,7 +286,7 @@ impl Findings {
             .effects
             .iter()
             .map(|e| {
-                json!({
+                let mut of = json!({
                     "name": e.name,
                     "equation": e.equation,
                     "parameters": identified(&e.parameters),
@@ -276,14 +294,15 @@ impl Findings {
                     "runner_up": e.runner_up,
                     "ambiguous_with": e.ambiguous_with,
                     "alias": e.alias,
-                    "sensor": e.sensor.map(|q| PHASES[q]),
-                    "draw": (e.name == EffectKind::SupplySag.name()).then(|| e.draw.name()),
-                    "reads": (e.name == EffectKind::EncoderEccentricity.name()).then(|| e.reads.name()),
-                    "turns": (e.name == EffectKind::TurnShort.name()).then(|| e.turns.name()),
                     "channel": e.channel,
                     "heldout_before": e.heldout.map(|h| h.0),
                     "heldout_after": e.heldout.map(|h| h.1),
-                })
+                });
+                for key in LawKey::ALL {
+                    let own = EffectKind::from_name(&e.name).and_then(EffectKind::law_key);
+                    of[key.name] = json!(own.filter(|k| *k == key).and_then(|k| k.of(e.law)));
+                }
+                of
             })
             .collect();
         let channels: Map<String, Value> = self

@@ -5,10 +5,11 @@
 use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::search::beside::{Beside, found, scatter};
 use crate::told::knobs::{self, KNOBS, Knob, MECHANICS, PIECE_S, STEP};
+use crate::told::source::SOURCES;
 use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated};
 use nalgebra::{DMatrix, DVector};
 use schemas::error::Result;
-use sim_worker::effect::{Draw, Effect, EffectKind};
+use sim_worker::effect::{Effect, EffectKind, Law};
 use sim_worker::parameters::ActuatorParameters;
 use std::collections::BTreeMap;
 
@@ -103,15 +104,15 @@ fn candidates(child: &ActuatorParameters, told: &Told) -> Vec<Candidate> {
         Candidate::of(K::BiasTorque, 1e-3),
         Candidate::of(K::SpringLoad, 5e-6),
     ];
-    all.extend(Draw::ALL.map(|draw| {
+    all.extend(SOURCES.map(|law| {
         let mut c = Candidate::of(K::SupplySag, 0.1);
-        c.effect.draw = draw;
+        c.effect.law = law;
         c
     }));
     for sensor in 0..3 {
         for (kind, size) in [(K::CurrentGain, 0.02), (K::CurrentOffset, 0.05)] {
             let mut c = Candidate::of(kind, size);
-            c.effect.sensor = Some(sensor);
+            c.effect.law = Law::Phase(sensor);
             all.push(c);
         }
         all.push(Candidate {
@@ -316,8 +317,7 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Sh
         best.value * (left / constants).sqrt()
     };
     let mut beside = found(kind, (best.value, best.sd.hypot(of_law)), seen, rms);
-    beside.sensor = effect.sensor;
-    beside.draw = effect.draw;
+    beside.law = effect.law;
     beside.second = (kind == EffectKind::TurnShort).then_some(effect.values[1]);
     Ok(Shown::Effect(OfMotion { beside, settles }))
 }

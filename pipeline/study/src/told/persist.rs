@@ -236,10 +236,7 @@ pub fn effect(found: &FoundEffect, parent: Option<&str>, source: &str, notes: Ve
     }
     let mut e = Effect::new(kind, &values[..kind.keys().len()]);
     e.intervals = Some(intervals);
-    e.sensor = found.sensor;
-    e.draw = found.draw;
-    e.reads = found.reads;
-    e.turns = found.turns;
+    e.law = found.law;
     let n = kind.keys().len();
     if n > 1 && found.correlation.len() == n * n {
         let above = (0..n).flat_map(|i| (i + 1..n).map(move |k| i * n + k));

@@ -7,8 +7,16 @@ use crate::search::beside::scatter;
 use crate::search::study::Source;
 use crate::told::verify::{self, AT_ONCE, Recorded};
 use schemas::error::Result;
-use sim_worker::effect::{Draw, Effect, EffectKind};
+use sim_worker::effect::{Effect, EffectKind, Law};
 use sim_worker::parameters::ActuatorParameters;
+
+/// Laws that a source may follow.
+pub const SOURCES: [Law; 3] = [Law::First, Law::Bridge, Law::Legs];
+
+/// Place of a law in [`SOURCES`].
+fn place(draw: Law) -> usize {
+    SOURCES.iter().position(|d| *d == draw).unwrap_or(0)
+}
 
 /// Time over which currents and voltages are averaged [s] (assumed): the chatter of recorded and simulated relays is not the same.
 const MEAN_S: f64 = 0.02;
@@ -23,7 +31,7 @@ struct Piece {
     /// what the recordings say that is drawn [A]: by the power of the windings, by the size of the legs' current
     instruments: [Vec<f64>; 2],
     /// what the voltage drops by each law with the resistance assumed [V]
-    simulated: [Vec<f64>; Draw::ALL.len()],
+    simulated: [Vec<f64>; SOURCES.len()],
 }
 
 /// The source of an actuator whose study found one that gives way. Each law is simulated with the resistance assumed; measured over
@@ -38,26 +46,26 @@ struct Piece {
 /// Refuses files that cannot be read.
 pub fn by_loop(bench: &Bench, child: &ActuatorParameters) -> Result<Option<Source>> {
     let of_source = |e: &&Effect| e.kind == EffectKind::SupplySag;
-    let Some((assumed, found)) = child.effects.iter().find(of_source).map(|e| (e.values[0], e.draw)) else {
+    let Some((assumed, found)) = child.effects.iter().find(of_source).map(|e| (e.values[0], e.law)) else {
         return Ok(None);
     };
     let pieces = pieces(bench, child)?;
     if pieces.len() < 3 {
         return Ok(None);
     }
-    let left = |draw: Draw| -> f64 {
+    let left = |draw: Law| -> f64 {
         [0, 1]
             .map(|i| left(&pieces, draw, ratio(&pieces, draw, i, None)))
             .iter()
             .sum()
     };
-    let least = Draw::ALL.into_iter().min_by(|a, b| left(*a).total_cmp(&left(*b)));
+    let least = SOURCES.into_iter().min_by(|a, b| left(*a).total_cmp(&left(*b)));
     let draw = least.filter(|d| left(*d) < BETTER * left(found)).unwrap_or(found);
     // what two legs that are up together do not draw, the size knows nothing of; of the power it is a part
     let (own, other) = match draw {
-        Draw::Power if found == Draw::Power => return Ok(None),
-        Draw::Power | Draw::Bridge => (0, Some(1)),
-        Draw::Legs => (1, None),
+        Law::First if found == Law::First => return Ok(None),
+        Law::Legs => (1, None),
+        _ => (0, Some(1)),
     };
     let by = |instrument: usize, without: Option<usize>| assumed * ratio(&pieces, draw, instrument, without);
     let ohm = by(own, None);
@@ -71,10 +79,10 @@ pub fn by_loop(bench: &Bench, child: &ActuatorParameters) -> Result<Option<Sourc
 
 /// The pieces that find, each law simulated.
 fn pieces(bench: &Bench, child: &ActuatorParameters) -> Result<Vec<Piece>> {
-    let laws = Draw::ALL.map(|draw| {
+    let laws = SOURCES.map(|draw| {
         let mut p = child.clone();
         let sources = p.effects.iter_mut().filter(|e| e.kind == EffectKind::SupplySag);
-        sources.for_each(|e| e.draw = draw);
+        sources.for_each(|e| e.law = draw);
         p
     });
     let (all, _) = verify::recordings(bench, &[Role::Fit, Role::Select])?;
@@ -103,22 +111,22 @@ fn mean(x: &[f64]) -> f64 {
 }
 
 /// Measured over simulated drop by an instrument, of all pieces but one.
-fn ratio(pieces: &[Piece], draw: Draw, instrument: usize, without: Option<usize>) -> f64 {
+fn ratio(pieces: &[Piece], draw: Law, instrument: usize, without: Option<usize>) -> f64 {
     let (mut measured, mut simulated) = (0.0, 0.0);
     for (_, p) in pieces.iter().enumerate().filter(|(k, _)| Some(*k) != without) {
         let z = &p.instruments[instrument];
         let middle = mean(z);
         let with = |x: &[f64]| z.iter().zip(x).map(|(z, x)| (z - middle) * x).sum::<f64>();
         measured += with(&p.measured);
-        simulated += with(&p.simulated[draw as usize]);
+        simulated += with(&p.simulated[place(draw)]);
     }
     measured / simulated
 }
 
 /// What a law leaves of the measured drops, beside a constant of each piece, squared [V2].
-fn left(pieces: &[Piece], draw: Draw, ratio: f64) -> f64 {
+fn left(pieces: &[Piece], draw: Law, ratio: f64) -> f64 {
     let of = |p: &Piece| {
-        let both = p.measured.iter().zip(&p.simulated[draw as usize]);
+        let both = p.measured.iter().zip(&p.simulated[place(draw)]);
         let gap: Vec<f64> = both.map(|(m, s)| m - ratio * s).collect();
         let middle = mean(&gap);
         gap.iter().map(|g| (g - middle).powi(2)).sum::<f64>()
@@ -162,20 +170,20 @@ mod tests {
     use super::*;
 
     /// Drops of a source of 0.3 ohm by a law, simulated with 0.2 ohm.
-    fn made(law: Draw) -> Vec<Piece> {
+    fn made(law: Law) -> Vec<Piece> {
         let one = |piece: usize| {
             let at = |k: usize| 0.37 * (k + 50 * piece) as f64;
             let power: Vec<f64> = (0..50).map(|k| 1.0 + at(k).sin()).collect();
             let size: Vec<f64> = (0..50).map(|k| 2.0 + (1.7 * at(k)).cos()).collect();
-            let drawn = |d: Draw, k: usize| match d {
-                Draw::Power => power[k],
-                Draw::Bridge => power[k] + 0.1 * size[k].powi(2),
-                Draw::Legs => size[k],
+            let drawn = |d: Law, k: usize| match d {
+                Law::Bridge => power[k] + 0.1 * size[k].powi(2),
+                Law::Legs => size[k],
+                _ => power[k],
             };
-            let of = |d: Draw, ohm: f64| -> Vec<f64> { (0..50).map(|k| ohm * drawn(d, k)).collect() };
+            let of = |d: Law, ohm: f64| -> Vec<f64> { (0..50).map(|k| ohm * drawn(d, k)).collect() };
             Piece {
                 measured: of(law, 0.3).iter().map(|x| x + 0.7).collect(),
-                simulated: Draw::ALL.map(|d| of(d, 0.2)),
+                simulated: SOURCES.map(|d| of(d, 0.2)),
                 instruments: [power.clone(), size.clone()],
             }
         };
@@ -184,9 +192,9 @@ mod tests {
 
     #[test]
     fn prop_by_the_right_law_both_instruments_say_the_same_and_nothing_is_left() {
-        for law in Draw::ALL {
+        for law in SOURCES {
             let pieces = made(law);
-            for draw in Draw::ALL {
+            for draw in SOURCES {
                 let both = [0, 1].map(|i| ratio(&pieces, draw, i, None));
                 let rest = [0, 1].map(|i| left(&pieces, draw, both[i]));
                 let same = both.iter().all(|r| (r - 1.5).abs() < 1e-9) && rest.iter().all(|x| *x < 1e-12);

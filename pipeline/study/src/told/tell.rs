@@ -15,7 +15,7 @@ use crate::told::places;
 use crate::told::scale;
 use crate::told::words::{assumptions, facts, missing, sentence, told, unnamed};
 use nalgebra::{DMatrix, DVector};
-use sim_worker::effect::{EffectKind, Equation, NORMAL_95, Reads, Turns};
+use sim_worker::effect::{EffectKind, Equation, Law, NORMAL_95};
 
 /// The channel that an equation predicts.
 pub(super) fn channel(m: &Material, e: Equation) -> (&'static str, &'static str) {
@@ -345,14 +345,11 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
                     let c = to_channel(m, m.seen_in(term));
                     (c * p.1, c * p.2)
                 }),
-                sensor: e.sensor,
-                draw: source.map_or(e.draw, |s| s.draw),
-                // a recorded speed that is made of the angle has its error, and is what the loop acts on (assumed)
-                reads: match m.bench.made_of_angle {
-                    Some(_) if term.kind == EffectKind::EncoderEccentricity => Reads::AngleAndSpeed,
-                    _ => e.reads,
+                law: match m.bench.made_of_angle {
+                    // a recorded speed that is made of the angle has its error, and is what the loop acts on (assumed)
+                    Some(_) if term.kind == EffectKind::EncoderEccentricity => Law::AngleAndSpeed,
+                    _ => source.map_or(e.law, |s| s.draw),
                 },
-                turns: e.turns,
                 alias: (term.kind == EffectKind::BiasTorque).then(|| "coulomb_asymmetry".to_string()),
             }
         })
@@ -384,10 +381,7 @@ fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
         runner_up: None,
         ambiguous_with: b.ambiguous.iter().map(|k| k.name().to_string()).collect(),
         alias: None,
-        sensor: b.sensor,
-        draw: b.draw,
-        reads: Reads::Angle,
-        turns: Turns::Lost,
+        law: b.law,
         channel: b.seen_in.to_string(),
         heldout: m.held.is_some().then_some((b.before, b.after)),
     }

@@ -1,0 +1,97 @@
+//! The laws that an effect may follow beside the first of its kind, each said by one key of its table `[[effect]]`.
+
+/// Names of the phases.
+pub const PHASES: [&str; 3] = ["a", "b", "c"];
+
+/// Which law of its kind an effect follows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Law {
+    /// the first of the kind, as the list of effects has it
+    #[default]
+    First,
+    /// of `current_offset` and `current_gain` in an actuator of three phases: it is in the sensor of this one (0, 1, 2). By the first
+    /// law nobody says, and the equivalent current has it, in the phases that conduct, by their signs
+    Phase(usize),
+    /// of `supply_sag`: the voltage goes by the current that the bridge draws and gives back at every moment; by the first law the
+    /// link's capacitor levels that current
+    Bridge,
+    /// of `supply_sag`: by the size of the current of the legs that are switched up, at every moment: nothing levels it, and nothing
+    /// comes back
+    Legs,
+    /// of `encoder_eccentricity`: the speed is made of the sensor's angle and has the error too, and the speed loop acts on it; by the
+    /// first law the speed has a sensor of its own
+    AngleAndSpeed,
+    /// of `turn_short`: a contact bridges the turns, and their back-EMF drives a current through them that brakes the rotor; by the
+    /// first law the phase has fewer turns
+    Bridged,
+}
+
+/// The key that says the law of an effect.
+#[derive(Debug, PartialEq)]
+pub struct LawKey {
+    /// in files and reports
+    pub name: &'static str,
+    /// why effects of other kinds have it not
+    elsewhere: &'static str,
+    /// what it may say; the first law need not be said
+    laws: &'static [(&'static str, Law)],
+}
+
+pub(super) const SENSOR: LawKey = LawKey {
+    name: "sensor",
+    elsewhere: "it is in no sensor of a phase",
+    laws: &[
+        (PHASES[0], Law::Phase(0)),
+        (PHASES[1], Law::Phase(1)),
+        (PHASES[2], Law::Phase(2)),
+    ],
+};
+
+pub(super) const DRAW: LawKey = LawKey {
+    name: "draw",
+    elsewhere: "it is in no source",
+    laws: &[("power", Law::First), ("bridge", Law::Bridge), ("legs", Law::Legs)],
+};
+
+pub(super) const READS: LawKey = LawKey {
+    name: "reads",
+    elsewhere: "it is in no sensor of the angle",
+    laws: &[("angle", Law::First), ("angle_and_speed", Law::AngleAndSpeed)],
+};
+
+pub(super) const TURNS: LawKey = LawKey {
+    name: "turns",
+    elsewhere: "it is in no winding",
+    laws: &[("lost", Law::First), ("bridged", Law::Bridged)],
+};
+
+impl LawKey {
+    /// All keys.
+    pub const ALL: [&'static Self; 4] = [&SENSOR, &DRAW, &READS, &TURNS];
+
+    /// The law of a name.
+    pub fn law(&self, name: &str) -> Option<Law> {
+        self.laws.iter().find(|l| l.0 == name).map(|l| l.1)
+    }
+
+    /// The name of a law; none for a first law without one.
+    pub fn of(&self, law: Law) -> Option<&'static str> {
+        self.laws.iter().find(|l| l.1 == law).map(|l| l.0)
+    }
+
+    /// All laws that have a name.
+    pub fn laws(&self) -> impl Iterator<Item = Law> + '_ {
+        self.laws.iter().map(|l| l.1)
+    }
+
+    /// What is allowed, in words.
+    ///
+    /// * `here` whether the effect has the key
+    pub(super) fn allowed(&self, here: bool) -> String {
+        let names: Vec<&str> = self.laws.iter().map(|l| l.0).collect();
+        match names.split_last() {
+            Some((last, others)) if here => format!("{} or {last}", others.join(", ")),
+            _ => format!("nothing: {}", self.elsewhere),
+        }
+    }
+}
