@@ -113,6 +113,9 @@ fn steps_body<const N: usize, const F: u32, const SAME: bool, const ONE: bool>(
                     on.f2[l] = pick(same, on.f2[l], fold[2]);
                 }
             }
+            if fx.has_flux() {
+                fx.saturate_flux([&st.ia, &st.ib], [&mut on.k0, &mut on.k1, &mut on.k2]);
+            }
             if fx.has_dead_time() {
                 let (mut conducts, mut ic) = ([[false; N]; 3], [0.0; N]);
                 for l in 0..N {

@@ -107,6 +107,13 @@ pub(super) fn saturation(coefficient: f64, i: f64) -> f64 {
     (1.0 - coefficient * i.abs()).max(0.0)
 }
 
+/// Share of torque and back-EMF that a saturated flux leaves at the equivalent current [A].
+#[inline(always)]
+pub(super) fn flux_left(coefficient: f64, i: f64) -> f64 {
+    let x = coefficient * i;
+    1.0 / (1.0 + x * x).sqrt()
+}
+
 /// Voltage that a conducting leg of a current [A] loses to dead time [V].
 #[inline(always)]
 pub(super) fn dead_time(volts: f64, i: f64) -> f64 {
@@ -290,6 +297,7 @@ impl Effect {
             | EffectKind::TorqueRipple
             | EffectKind::Eccentricity
             | EffectKind::CommutationOffset => self.shared(s, c, self.constant_share(s, c)).1,
+            EffectKind::TorqueSaturation => -c.torque_constant * s.omega * (1.0 - self.flux(s.current)),
             _ => 0.0,
         }
     }
@@ -306,8 +314,17 @@ impl Effect {
 
     /// What is left of a phase's torque at its current `i` [A]; it does not turn its sign.
     pub fn saturation(&self, i: f64) -> f64 {
-        match self.kind {
-            EffectKind::TorqueSaturation => saturation(self.values[0], i),
+        match (self.kind, self.law) {
+            (EffectKind::TorqueSaturation, Law::Flux) => self.flux(i),
+            (EffectKind::TorqueSaturation, _) => saturation(self.values[0], i),
+            _ => 1.0,
+        }
+    }
+
+    /// What is left of the back-EMF at the equivalent current `i` [A].
+    pub fn flux(&self, i: f64) -> f64 {
+        match self.law {
+            Law::Flux => flux_left(self.values[0], i),
             _ => 1.0,
         }
     }

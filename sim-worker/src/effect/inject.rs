@@ -186,6 +186,7 @@ impl Injection {
                 [a, e.values[1], of_speed]
             }
             EffectKind::TurnShort => e.bridge(&self.constants).unwrap_or_default(),
+            EffectKind::TorqueSaturation => [a, f64::from(u8::from(e.law == Law::Flux)), 0.0],
             _ => e.values,
         }
     }
@@ -193,6 +194,16 @@ impl Injection {
     /// What is left of the torque of a phase current [A].
     pub fn saturation(&self, i: f64) -> f64 {
         self.saturation.iter().map(|e| e.saturation(i)).product()
+    }
+
+    /// What is left of the back-EMF at the equivalent current [A].
+    pub fn flux(&self, i: f64) -> f64 {
+        self.saturation.iter().map(|e| e.flux(i)).product()
+    }
+
+    /// Whether the flux saturates.
+    pub(super) fn has_flux(&self) -> bool {
+        self.saturation.iter().any(|e| e.law == Law::Flux)
     }
 
     /// Measured angle less the true one [rad].

@@ -24,6 +24,10 @@ pub enum Law {
     /// of `turn_short`: a contact bridges the turns, and their back-EMF drives a current through them that brakes the rotor; by the
     /// first law the phase has fewer turns
     Bridged,
+    /// of `torque_saturation`: the flux is lost, `1/sqrt(1 + (coefficient i)^2)` of it is left, and the back-EMF falls with the torque
+    /// (energy; the armature's field stands across the magnets', and iron follows what both add up to: assumed). By the first law the
+    /// torque alone falls, by `coefficient |i|`
+    Flux,
 }
 
 /// The key that says the law of an effect.
@@ -65,9 +69,15 @@ pub(super) const TURNS: LawKey = LawKey {
     laws: &[("lost", Law::First), ("bridged", Law::Bridged)],
 };
 
+pub(super) const SATURATES: LawKey = LawKey {
+    name: "saturates",
+    elsewhere: "it is in no iron",
+    laws: &[("torque", Law::First), ("flux", Law::Flux)],
+};
+
 impl LawKey {
     /// All keys.
-    pub const ALL: [&'static Self; 4] = [&SENSOR, &DRAW, &READS, &TURNS];
+    pub const ALL: [&'static Self; 5] = [&SENSOR, &DRAW, &READS, &TURNS, &SATURATES];
 
     /// The law of a name.
     pub fn law(&self, name: &str) -> Option<Law> {

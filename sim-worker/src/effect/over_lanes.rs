@@ -104,6 +104,7 @@ pub struct LaneEffects<const N: usize> {
     stateful: bool,
     behind: bool,
     saturated: bool,
+    flux: bool,
     delayed: bool,
     /// whether any is in bridge, windings, commutation or their sensors
     currents: bool,
@@ -155,6 +156,7 @@ impl<const N: usize> Default for LaneEffects<N> {
             stateful: false,
             behind: false,
             saturated: false,
+            flux: false,
             delayed: false,
             currents: false,
             dt: 0.0,
@@ -200,6 +202,7 @@ impl<const N: usize> LaneEffects<N> {
             self.stateful |= e.bristles.is_some() || e.behind.is_some();
             self.behind |= e.behind.is_some();
             self.saturated |= !e.saturation.is_empty();
+            self.flux |= e.has_flux();
             self.delayed |= e.delay.is_some();
             let felt = &mut self.felt;
             felt.sag[l] = 0.5 * e.source * u.volt / u.ampere;
@@ -483,11 +486,33 @@ impl<const N: usize> LaneEffects<N> {
         let mut left = [1.0; N];
         for s in self.slots.iter().filter(|s| s.kind == EffectKind::TorqueSaturation) {
             for l in 0..N {
-                left[l] *= equations::saturation(s.values[0][l], i[l] / self.amperes[l]);
+                let coefficient = s.values[0][l] * (1.0 - s.values[1][l]);
+                left[l] *= equations::saturation(coefficient, i[l] / self.amperes[l]);
             }
         }
         for l in 0..N {
             k[l] *= left[l];
+        }
+    }
+
+    /// Scales the back-EMF coefficients of all phases to those of a flux that saturates.
+    ///
+    /// * `i` currents of the first two phases
+    #[inline(always)]
+    pub fn saturate_flux(&self, i: [&[f64; N]; 2], k: [&mut [f64; N]; 3]) {
+        let mut left = [1.0; N];
+        for s in self.slots.iter().filter(|s| s.kind == EffectKind::TorqueSaturation) {
+            for l in 0..N {
+                let (a, b) = (i[0][l], i[1][l]);
+                let size = 0.5 * (a.abs() + b.abs() + (a + b).abs());
+                let coefficient = s.values[0][l] * s.values[1][l];
+                left[l] *= equations::flux_left(coefficient, size / self.amperes[l]);
+            }
+        }
+        for k in k {
+            for l in 0..N {
+                k[l] *= left[l];
+            }
         }
     }
 
@@ -518,6 +543,11 @@ impl<const N: usize> LaneEffects<N> {
     /// Whether any lane needs [`LaneEffects::saturate`].
     pub fn is_saturated(&self) -> bool {
         self.saturated
+    }
+
+    /// Whether any lane needs [`LaneEffects::saturate_flux`].
+    pub fn has_flux(&self) -> bool {
+        self.flux
     }
 
     /// Whether any lane needs [`LaneEffects::user`].

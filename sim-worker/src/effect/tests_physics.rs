@@ -181,6 +181,7 @@ fn prop_shares_of_the_torque_constant_are_the_equations_of_the_recorded_signals(
     .map(|(kind, tolerance)| (visible(kind), tolerance))
     .into_iter()
     .chain([0, 1, 2].map(|q| (one(q), 1e-9)))
+    .chain([(visible(TorqueSaturation).by(Law::Flux), 0.1)])
     {
         let kind = e.kind;
         let p = with(std::slice::from_ref(&e));
@@ -270,6 +271,8 @@ fn prop_voltages_are_the_equations_of_the_recorded_signals() {
         (SupplySag, Law::Legs, 0.15),
         (TurnShort, Law::First, 0.15),
         (TorqueRipple, Law::First, 0.1),
+        // the current of a leg that has just been left saturates too
+        (TorqueSaturation, Law::Flux, 0.2),
         (Eccentricity, Law::First, 0.1),
     ] {
         let e = visible(kind).by(law);

@@ -69,7 +69,7 @@ impl MonitorModel {
         let w_ref = limit(self.gap * (com * self.n - self.th_u), -self.w_max, self.w_max);
         // voltage
         let share = 1.0 + e.constant_share(&s);
-        let emf = self.kt * share * self.w + e.voltage(&s);
+        let emf = self.kt * share * e.flux(x.i) * self.w + e.voltage(&s);
         let volts = (x.supply_voltage_v - e.source * x.supply).max(0.0);
         let free = (x.l_dt * x.i - emf) / x.impedance;
         let (low, high) = (free - volts / x.impedance, free + volts / x.impedance);
