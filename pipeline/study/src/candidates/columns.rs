@@ -446,6 +446,9 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
     let a = |i: usize| amplitudes.get(i).copied().unwrap_or(0.0);
     let values: Vec<f64> = match form(kind) {
         Form::Amplitude if kind == EffectKind::CurrentGain => vec![a(0) / (1.0 - a(0))],
+        Form::Amplitude if kind == EffectKind::TorqueSaturation && !shape.is_empty() => {
+            vec![a(0).max(0.0).sqrt() / shape[0]]
+        }
         Form::Amplitude if kind.keys().len() == 1 => vec![a(0)],
         Form::Amplitude if kind == EffectKind::TurnShort => vec![a(0), shape[0]],
         Form::Amplitude => [&[a(0)], shape].concat(),
@@ -460,6 +463,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
         EffectKind::SupplySag if shape.first() == Some(&LEGS) => Law::Legs,
         EffectKind::TurnShort if shape.get(1) == Some(&BRIDGED) => Law::Bridged,
         EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => Law::AngleAndSpeed,
+        EffectKind::TorqueSaturation if !shape.is_empty() => Law::Flux,
         EffectKind::CurrentGain => shape.first().map_or(Law::First, |q| Law::Phase(*q as usize)),
         _ => Law::First,
     };
@@ -474,6 +478,7 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
             let of = e.sensor().map(|q| q as f64);
             (of.into_iter().collect(), vec![v[0] / (1.0 + v[0])])
         }
+        Form::Amplitude if e.law == Law::Flux => (vec![1.0 / v[0]], vec![1.0]),
         Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
         Form::Amplitude if e.kind == EffectKind::SupplySag => {

@@ -2,6 +2,7 @@
 //! be by another that is as usual says how far they may be off for the law's sake.
 
 use crate::candidates::columns::moments;
+use crate::candidates::phases::flux_lost;
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::Signals;
 use sim_worker::effect::{EffectKind, Equation};
@@ -26,12 +27,12 @@ fn fall(x: f64, exponent: f64) -> f64 {
     (1.0 + AT_SPEED * x.powf(AS_SHARP * exponent)).recip() - (-x.powf(exponent)).exp()
 }
 
-/// Share of the torque at a current [A] that a saturating iron takes by `1/sqrt(1 + (i/i0)^2)`, less `coefficient |i|`; both take
-/// the same at the strongest current [A]. None where that is nothing or nearly all.
+/// Share of the torque at a current [A] that a saturating iron takes by its flux, less `coefficient |i|`; both take the same at the
+/// strongest current [A]. None where that is nothing or nearly all.
 fn saturating(coefficient: f64, strongest: f64) -> Option<impl Fn(f64) -> f64> {
     let left = 1.0 - coefficient * strongest;
     let at = (left > LEAST_LEFT && left < 1.0).then(|| strongest * left / (1.0 - left * left).sqrt())?;
-    Some(move |i: f64| 1.0 - (1.0 + (i / at).powi(2)).sqrt().recip() - coefficient * i.abs())
+    Some(move |i: f64| flux_lost(at, i) - coefficient * i.abs())
 }
 
 /// Currents that give torque [A].
@@ -64,9 +65,11 @@ pub fn otherwise(
     Some(match kind {
         EffectKind::LubricatedRise => of_speed(&rise),
         EffectKind::Stribeck => of_speed(&|x| fall(x, shape[1])),
-        EffectKind::TorqueSaturation => {
+        // a flux is one of two laws that were tried, and a size of its own
+        EffectKind::TorqueSaturation if shape.is_empty() => {
             let all = runs.iter().flat_map(|s| currents(s, c));
-            let more = saturating(size, all.fold(0.0, |a: f64, i| a.max(i.abs())))?;
+            let strongest = all.fold(0.0, |a: f64, i| a.max(i.abs()));
+            let more = saturating(size, strongest)?;
             let taken = |i: f64| c.effect.torque_constant * i * more(i);
             each(&|s| currents(s, c).map(taken).collect())
         }

@@ -1,5 +1,6 @@
 //! Effects that three measured phases tell apart: what each would add to the torque and to the equations of the phases.
 
+use crate::candidates::columns::drive;
 use crate::equations::phases::{Phases, SUPPLY};
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::Signals;
@@ -46,6 +47,11 @@ pub const LEGS: f64 = 3.0;
 
 /// Second shape of a phase whose short turns a contact bridges.
 pub const BRIDGED: f64 = 1.0;
+
+/// Share of the flux that an iron loses which saturates about the current `at` [A], `1 - 1/sqrt(1 + (i/at)^2)`.
+pub fn flux_lost(at: f64, i: f64) -> f64 {
+    1.0 - (1.0 + (i / at).powi(2)).sqrt().recip()
+}
 
 /// As [`super::columns::contribution`], of effects that the phases tell apart; `None` for all others.
 pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants) -> Option<Vec<Column>> {
@@ -100,6 +106,23 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
                 });
                 let signal = squared.iter().map(|x| ke * ke / r * x).collect();
                 column.push(Piece::of(Equation::Torque, 0, signal));
+            }
+            vec![column]
+        }
+        // amplitude 1: what an iron takes that saturates about this current; a weak saturation is a part of that
+        EffectKind::TorqueSaturation if !shape.is_empty() => {
+            let lost: Vec<f64> = (0..s.n).map(|k| flux_lost(shape[0], p.size(k))).collect();
+            let torque = (0..s.n).map(|k| c.effect.torque_constant * drive(s, c, k) * lost[k]);
+            let mut column = vec![Piece::of(Equation::Torque, 0, torque.collect())];
+            for q in (0..3).filter(|_| p.voltage.is_some()) {
+                let trap = |theta: f64| effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64);
+                let whole = p.swept(s, trap);
+                column.push(Piece {
+                    equation: Equation::Electrical,
+                    order: 0,
+                    signal: (0..s.n).map(|k| -ke * whole[k] * lost[k]).collect(),
+                    phase: Some(q),
+                });
             }
             vec![column]
         }

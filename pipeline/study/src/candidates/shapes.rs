@@ -107,6 +107,8 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             }
             out
         }
+        // the torque alone, or the flux, about the strongest current
+        EffectKind::TorqueSaturation if runs.iter().all(|r| r.phases.is_some()) => vec![vec![], vec![strongest(runs)]],
         EffectKind::TurnShort if runs.iter().all(|r| r.phases.is_some()) => [0.0, 1.0, 2.0]
             .into_iter()
             .flat_map(|q| [vec![q], vec![q, BRIDGED]])
@@ -145,6 +147,11 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
 
 /// Share of its speed with which a load bounces off, to begin with.
 const BOUNCE: f64 = 0.3;
+
+/// The strongest current [A].
+fn strongest(runs: &[Signals]) -> f64 {
+    runs.iter().flat_map(|r| &r.drive).fold(0.0, |a: f64, x| a.max(x.abs()))
+}
 
 /// How far user and motor part company, but for the fewest samples [rad].
 fn parted(runs: &[Signals]) -> Option<f64> {
@@ -255,7 +262,10 @@ fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
     const LIN: Option<bool> = Some(false);
     match kind {
         EffectKind::Stribeck => &[LOG, LIN],
-        EffectKind::LubricatedRise | EffectKind::Presliding | EffectKind::ControlDelay => &[LOG],
+        EffectKind::LubricatedRise
+        | EffectKind::Presliding
+        | EffectKind::ControlDelay
+        | EffectKind::TorqueSaturation => &[LOG],
         EffectKind::Backlash => &[LOG, LOG, LIN, LIN],
         EffectKind::TightSpot => &[LIN, LOG],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
@@ -296,6 +306,8 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
             vec![(1e-4 * most, 0.5 * most)]
         }
         EffectKind::ControlDelay => vec![(1e-6, 0.5)],
+        // less than half of the torque is left, or so much that only its first curvature shows
+        EffectKind::TorqueSaturation => vec![(0.5 * strongest(runs), 2.0 * strongest(runs))],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => vec![(0.1, 1000.0)],
         _ => vec![],
     }

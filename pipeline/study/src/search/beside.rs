@@ -5,6 +5,7 @@
 
 use crate::equations::nuisances::Nuisance;
 use crate::equations::phases::Phases;
+use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::bench::{BenchChannel, Role};
@@ -56,6 +57,8 @@ const MOST_SWEEP: f64 = 0.4;
 /// Share of a sample by which the impulse of a stretch of strong current is off, one sigma (assumed): a current that jumps may do so
 /// anywhere within a sample at either end, and points of it do not say where.
 const AT_ENDS: f64 = 0.4;
+/// Fewest samples of a stretch, three of which are its ends (assumed): what one or two points of a current gave nobody knows.
+const LEAST_STRETCH: usize = 6;
 /// Share of an impulse by which the strokes of the commutation make it uncertain (assumed).
 const ROUGH: f64 = 0.02;
 
@@ -148,6 +151,25 @@ pub fn beside(m: &Material, model: &Fit, first: &[Nuisance]) -> (Vec<Beside>, bo
 }
 
 type Both<'a> = [&'a [(&'a Run, &'a Signals)]; 2];
+
+/// Most that a cogging may be over the torque that an offset of a phase seems to give, to be nothing but that (assumed).
+const AS_OF_OFFSET: f64 = 1.6;
+
+/// Whether what was found beside the equations makes the term, which then is no effect of its own.
+pub fn makes(found: &Beside, t: &Term, c: &RigConstants) -> bool {
+    match (found.kind, t.kind) {
+        // a bridge that commutates too late one way does so too early the other way: its torque looks like a friction that goes by
+        // direction
+        (EffectKind::CommutationOffset, EffectKind::ViscousAsymmetry) => true,
+        // a phase whose sensor says too much seems to give torque with its own shape, once a period of the current
+        (EffectKind::CurrentOffset, EffectKind::Cogging) => {
+            let torque = 0.5 * c.effect.torque_constant * found.value;
+            let once = (t.shape[0] / c.effect.pole_pairs - 1.0).abs() < 0.01;
+            once && t.amplitudes[0].hypot(t.amplitudes[1]) < AS_OF_OFFSET * torque.abs()
+        }
+        _ => false,
+    }
+}
 
 fn noise_of(m: &Material, c: BenchChannel) -> f64 {
     m.noise.get(&c).map_or(0.0, |n| n.rms)
@@ -362,7 +384,7 @@ fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64)
         // where it turns round friction is not known
         let turns = (from..k).any(|k| w[k] * w[k - 1] <= 0.0);
         let noise = 2.0 * j * noise_of(m, BenchChannel::Velocity);
-        if given.abs() < 10.0 * noise || turns {
+        if given.abs() < 10.0 * noise || turns || k - from < LEAST_STRETCH {
             continue;
         }
         let at_ends = AT_ENDS * given / (k - from) as f64;

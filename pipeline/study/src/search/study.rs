@@ -310,19 +310,16 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         }
     }
     let (mut beside, mut stranger) = beside::beside(&m, &model, &first_nuisances);
-    // a bridge that commutates too late one way does so too early the other way: its torque looks like a friction that goes by direction
-    let commutates = |found: &[Beside]| found.iter().any(|b| b.kind == EffectKind::CommutationOffset);
-    let by_direction = |t: &Term| t.kind == EffectKind::ViscousAsymmetry;
-    if commutates(&beside)
-        && let Some(at) = model.terms.iter().position(by_direction)
-    {
-        let without = m.dropped(&model, at);
+    let makes = |found: &[Beside], t: &Term| found.iter().any(|b| beside::makes(b, t, &m.constants));
+    while let Some(at) = model.terms.iter().position(|t| makes(&beside, t)) {
+        let (without, made) = (m.dropped(&model, at), &model.terms[at]);
         let again = beside::beside(&m, &without, &first_nuisances);
-        if commutates(&again.0) {
-            proofs.retain(|p| p.0 != EffectKind::ViscousAsymmetry);
-            model = without;
-            (beside, stranger) = again;
+        if !makes(&again.0, made) {
+            break;
         }
+        proofs.retain(|p| p.0 != made.kind);
+        model = without;
+        (beside, stranger) = again;
     }
     ambiguous.retain(|(k, _)| model.terms.iter().any(|t| t.kind == *k));
     // one filter and one set of rows for all three
