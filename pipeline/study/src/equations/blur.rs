@@ -11,9 +11,17 @@ const ENDS: f64 = 0.05;
 /// Share of the correction for the current's noise that is not known where the noise is taken from the data (assumed).
 const NOISE: f64 = 0.5;
 
-/// Standard deviation of the inductance of one winding that more rows do not lessen [H]; 0 without its voltage, and of three phases.
+/// Share of an inductance that means of points leave open, one sigma (assumed): what a relay makes of a current between them is as much as
+/// what they change by.
+const OF_POINTS: f64 = 0.5;
+
+/// Standard deviation of the inductance that more rows do not lessen [H]; 0 without its voltage. Of three phases only where their
+/// points tell it already.
 pub fn of_inductance(bench: &Bench, runs: &[&Run], noise: &NoiseTable) -> f64 {
     use BenchChannel as C;
+    if let Some(told) = bench.rig.inductance_by_points {
+        return OF_POINTS * told.value;
+    }
     let (Some(current), Some(voltage)) = (bench.channel(C::Current), bench.channel(C::Voltage)) else {
         return 0.0;
     };

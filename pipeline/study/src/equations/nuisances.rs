@@ -37,6 +37,18 @@ pub struct Nuisance {
 }
 
 impl Nuisance {
+    /// With what was told of it apart from the equations.
+    fn beside(mut self, told: Option<Known>) -> Self {
+        if let Some(Known { value, trust: Some(sd) }) = told.filter(|_| self.nominal > 0.0) {
+            let weight = |trust: Option<f64>| trust.map_or(0.0, |t| t.powi(-2));
+            let sd = sd * value / self.nominal;
+            let (before, now) = (weight(self.trust), weight(Some(sd)));
+            self.centre = (self.centre * before + (value / self.nominal - 1.0) * now) / (before + now);
+            self.trust = Some((before + now).sqrt().recip());
+        }
+        self
+    }
+
     /// A deviation over what it may be at most. Upwards a constant's counts by its logarithm: of one that was said to be 40 % of what it
     /// is 60 % were missing, not 150 % too many.
     ///
@@ -129,7 +141,7 @@ pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[E
     }
     if has(Equation::Electrical) {
         out.push(machine("resistance", &rig.resistance, "ohm"));
-        out.push(machine("inductance", &rig.inductance, "H"));
+        out.push(machine("inductance", &rig.inductance, "H").beside(rig.inductance_by_points));
         // gains of six sensors are as good as none: scale is what the machine's own constants say
         let gain = if bench.has_phases() { 1e-4 } else { SENSOR_GAIN };
         out.push(sensor("drive_gain", gain, "-"));

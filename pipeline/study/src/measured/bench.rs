@@ -191,6 +191,8 @@ pub struct Rig {
     pub offset: f64,
     pub resistance: Known,
     pub inductance: Known,
+    /// what points of the currents tell of the inductance, where nothing is said of the type alone
+    pub inductance_by_points: Option<Known>,
     pub back_emf: Known,
     /// both as the bench says them, where they were taken for one constant of a motor
     pub one_constant: Option<(f64, f64)>,

@@ -6,5 +6,6 @@ pub mod jumps;
 pub mod noise;
 mod one_constant;
 pub mod own;
+mod points;
 pub mod recording;
 pub(crate) mod rows;

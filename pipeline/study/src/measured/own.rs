@@ -2,6 +2,7 @@
 
 use crate::measured::bench::BenchChannel;
 use crate::measured::noise;
+use crate::measured::points::{self, Points};
 use crate::measured::recording::extent;
 use ema_tables::{ChannelMap, Table};
 use schemas::error::{Error, Result};
@@ -33,14 +34,15 @@ const CHANNELS: [(&str, &str, &str); 15] = [
     ("temperature", "temperature", ""),
     ("v", "voltage", ", sampling = \"mean\""),
     ("load", "load", ""),
-    ("i_a", "i_a", PHASE),
-    ("i_b", "i_b", PHASE),
-    ("i_c", "i_c", PHASE),
+    ("i_a", "i_a", ""),
+    ("i_b", "i_b", ""),
+    ("i_c", "i_c", ""),
     ("v_a", "v_a", ", sampling = \"mean\""),
     ("v_b", "v_b", ", sampling = \"mean\""),
     ("v_c", "v_c", ", sampling = \"mean\""),
 ];
-const PHASE: &str = ", sampling = \"mean\", offset = 0.0115";
+/// Offset of a sensor of phase currents, one sigma (assumed) [A].
+const PHASE_OFFSET_A: f64 = 0.0115;
 
 /// The bench that recordings of telemetry are. Of a long one, every third piece proves what the others found; of
 /// short ones, every third.
@@ -54,7 +56,7 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters, mapped: Option<&P
     text += &format!(
         "drive_constant = {{ value = {:?}, trust = 0.02 }}\ninertia = {{ value = {:?}, trust = 0.05 }}\n\
          viscous = {{ value = {:?}, trust = 0.3 }}\ncoulomb = {{ value = {fd:?}, trust = 0.5 }}\n\
-         inductance = {{ value = {:?}, trust = 0.03 }}\n[channels]\n",
+         inductance = {{ value = {:?}, trust = 0.03 }}\n",
         actuator.torque_constant_n_m_per_a(),
         actuator.inertia_kg_m2,
         actuator.viscous_n_m_s_per_rad,
@@ -64,7 +66,11 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters, mapped: Option<&P
     for (i, path) in paths.iter().enumerate() {
         let (table, ends_s, runs) = columns(path, &mapped)?;
         if i == 0 {
-            text += &channels(&table, &mapped)?;
+            let points = points::of_phases(2.0 * actuator.phase_inductance_h, |c| table.numbers(c).ok());
+            if let Some(Points { inductance, trust }) = points {
+                text += &format!("inductance_by_points = {{ value = {inductance:?}, trust = {trust:?} }}\n");
+            }
+            text += &("[channels]\n".to_string() + &channels(&table, &mapped, points.as_ref())?);
         }
         let whole = std::path::absolute(path).map_err(|e| Error::io(path, "cannot be found", e))?;
         all.extend(runs.into_iter().map(|r| (whole.display().to_string(), ends_s, r)));
@@ -166,7 +172,9 @@ fn columns(path: &Path, mapped: &Mapped) -> Result<Columns> {
 /// second sensor.
 ///
 /// The noise of the reference sensors is said where their grain is seen, else it is estimated.
-fn channels(table: &Table, mapped: &Mapped) -> Result<String> {
+///
+/// * `points` what the phase currents tell if they are points
+fn channels(table: &Table, mapped: &Mapped, points: Option<&Points>) -> Result<String> {
     let sensors = catalogue::sensors("reference")?.filter(|s| is_seen(table, s));
     let names = &table.names;
     let mut text = String::new();
@@ -177,6 +185,7 @@ fn channels(table: &Table, mapped: &Mapped) -> Result<String> {
         text += &format!("{channel} = {line}\n");
     }
     let has = |n: &str| names.iter().any(|x| x == n);
+    let sampling = if points.is_some() { "point" } else { "mean" };
     for (column, channel, rest) in CHANNELS {
         let duplicate = mapped.has(channel)
             || mapped.columns.iter().any(|c| c == column)
@@ -200,7 +209,12 @@ fn channels(table: &Table, mapped: &Mapped) -> Result<String> {
                 ("v_a" | "v_b" | "v_c", Some(_)) => ", noise = 0.02".into(),
                 _ => String::new(),
             };
-            text += &format!("{channel} = {{ column = \"{column}\"{rest}{noise} }}\n");
+            let of_phase = if channel.starts_with("i_") {
+                format!(", sampling = \"{sampling}\", offset = {PHASE_OFFSET_A:?}")
+            } else {
+                String::new()
+            };
+            text += &format!("{channel} = {{ column = \"{column}\"{rest}{of_phase}{noise} }}\n");
         }
     }
     if has("v_dc") && !mapped.has("v_dc") {

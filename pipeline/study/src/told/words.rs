@@ -170,7 +170,12 @@ pub(super) fn assumptions(m: &Material) -> Vec<String> {
         .iter()
         .find(|n| n.name == "between_samples")
         .and_then(|n| n.trust);
-    if let Some(t) = between.filter(|t| *t > MUCH_BETWEEN) {
+    if m.bench.rig.inductance_by_points.is_some() {
+        out.push(
+            "the phase currents are read at points: the inductance is from what they change by from point to point (sensors' gains 1 %, one sigma)"
+                .into(),
+        );
+    } else if let Some(t) = between.filter(|t| *t > MUCH_BETWEEN) {
         out.push(format!(
             "what current and voltage do between their samples leaves the inductance open by {:.0} % (one sigma): a voltage recorded as means would say more",
             100.0 * t

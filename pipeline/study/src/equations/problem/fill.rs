@@ -128,6 +128,7 @@ impl Problem {
                     }
                     column("resistance", &|i| columns[0][i]);
                     column("inductance", &|i| columns[1][i]);
+                    column("between_samples", &|i| columns[1][i]);
                     column("torque_constant", &|i| columns[2][i]);
                     column("voltage_gain", &|i| columns[0][i] + columns[1][i] + columns[2][i]);
                     column("drive_gain", &|i| columns[0][i]);

@@ -156,6 +156,7 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Res
         "motor.phase_inductance_h",
         0.0,
     )?;
+    let inductance_by_points = known(s, "inductance_by_points", Quantity::Inductance, lead, None)?;
     let of = |a: &ActuatorParameters| a.torque_constant_n_m_per_a();
     let ke = if drive == BenchChannel::Current {
         drive_constant.value
@@ -240,6 +241,7 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Res
         offset,
         resistance,
         inductance,
+        inductance_by_points,
         back_emf,
         one_constant,
         gear_ratio,
