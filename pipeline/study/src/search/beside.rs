@@ -3,6 +3,9 @@
 //! constants say together. Of recordings of our own actuator with three phases; each by itself, on the fit runs, proven on
 //! the held-out ones.
 
+mod one_cause;
+mod strong;
+
 use crate::equations::nuisances::Nuisance;
 use crate::equations::phases::Phases;
 use crate::equations::pieces::RigConstants;
@@ -11,9 +14,11 @@ use crate::equations::signals::Signals;
 use crate::measured::bench::{BenchChannel, Role};
 use crate::measured::recording::Run;
 use crate::search::fit::{self, Fit, Term};
-use crate::search::intervals::intervals;
 use crate::search::select::Material;
-use sim_worker::effect::{COPPER_PER_K, EffectKind, Equation, Law, NORMAL_95, conducting};
+use sim_worker::effect::{EffectKind, Equation, Law, NORMAL_95, conducting};
+
+pub use one_cause::together;
+use strong::{MOST_LEFT, saturation, strong_currents};
 
 /// An effect that was found beside the equations.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,23 +50,14 @@ pub struct Beside {
 /// that prove (assumed).
 const CERTAIN: f64 = 5.0;
 const LEAST_SHARE: f64 = 0.1;
-/// Least angle of the commutation [electrical rad], offset of a phase over what its sensor is believed to have, and loss of
-/// torque at the greatest current that matter (assumed).
+/// Least angle of the commutation [electrical rad], and offset of a phase over what its sensor is believed to have, that matter
+/// (assumed).
 const LEAST_ANGLE: f64 = 0.03;
 const LEAST_OFFSET: f64 = 5.0;
-const LEAST_LOSS: f64 = 0.03;
 /// Current over the noise of its sensor from which its pattern counts, and way in a sample up to which it is a pattern
 /// [electrical rad] (assumed).
 const CLEAR: f64 = 12.0;
 const MOST_SWEEP: f64 = 0.4;
-/// Share of a sample by which the impulse of a stretch of strong current is off, one sigma (assumed): a current that jumps may do so
-/// anywhere within a sample at either end, and points of it do not say where.
-const AT_ENDS: f64 = 0.4;
-/// Fewest samples of a stretch, three of which are its ends (assumed): what one or two points of a current gave nobody knows.
-const LEAST_STRETCH: usize = 6;
-/// Share of an impulse by which the strokes of the commutation make it uncertain (assumed).
-const ROUGH: f64 = 0.02;
-
 /// One part of an estimate: the least-squares sums of a run.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
@@ -342,263 +338,6 @@ fn sensor_of(m: &Material, model: &Fit, find: &[(&Run, &Signals)], offset: f64) 
     (share[most] > STANDS_OUT && alone).then_some(most)
 }
 
-/// Stretches of strong current: what they give to the motion beside what the flux makes of them. `y = x - coefficient z`,
-/// impulses over the stretch, each over its own uncertainty. And the greatest current.
-fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64) {
-    let constant = |name: &str| fit::constant(&m.nuisances, model, name);
-    let (Some(p), Some(w)) = (&s.phases, run.channel(BenchChannel::Velocity)) else {
-        return (Vec::new(), 0.0);
-    };
-    let (j, c, f, ke) = (
-        constant("inertia"),
-        constant("viscous"),
-        constant("coulomb"),
-        0.5 * constant("torque_constant"),
-    );
-    let dt = 1.0 / s.rate_hz;
-    let shapes: [Vec<f64>; 3] = std::array::from_fn(|q| p.mean_over_support(s, q, |_, trap| trap));
-    let mut out = Vec::new();
-    let mut greatest: f64 = 0.0;
-    let mut k = 2;
-    while k + 3 < s.n {
-        if !s.stepping[k] {
-            k += 1;
-            continue;
-        }
-        let from = k;
-        while k + 3 < s.n && s.stepping[k] {
-            k += 1;
-        }
-        let (mut given, mut lost, mut taken) = (0.0, 0.0, 0.0);
-        for k in from..k {
-            for q in 0..3 {
-                let t = ke * p.current[q][k] * shapes[q][k] * dt;
-                given += t;
-                lost += t * p.current[q][k].abs();
-            }
-            let speed = 0.5 * (w[k] + w[k - 1]);
-            taken += dt * (c * speed + f * speed.signum());
-            greatest = greatest.max(p.size(k));
-        }
-        taken += j * (w[k - 1] - w[from - 1]);
-        // where it turns round friction is not known
-        let turns = (from..k).any(|k| w[k] * w[k - 1] <= 0.0);
-        let noise = 2.0 * j * noise_of(m, BenchChannel::Velocity);
-        if given.abs() < 10.0 * noise || turns || k - from < LEAST_STRETCH {
-            continue;
-        }
-        let at_ends = AT_ENDS * given / (k - from) as f64;
-        let size = (ROUGH * given).hypot(noise).hypot(at_ends);
-        let (y, x) = ((given - taken) / size, lost / size);
-        out.push(Sums {
-            xx: x * x,
-            xy: x * y,
-            yy: y * y,
-            rows: 1.0,
-        });
-    }
-    (out, greatest)
-}
-
-/// What strong currents do against what the flux makes of them.
-struct Strong {
-    /// loss of torque a unit of current [1/A] and its standard deviation
-    loss: (f64, f64),
-    /// greatest current [A]
-    greatest: f64,
-    /// root mean square of the impulses over their uncertainty, without the loss and with it
-    rms: (f64, f64),
-}
-
-/// No equation has the stretches of strong currents, so they are shared out by themselves: every third of them proves what the
-/// others find. Only where the equations found nothing.
-fn strong_currents(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Strong> {
-    if !model.terms.is_empty() || m.held.is_none() {
-        return None;
-    }
-    let mut runs: Vec<&(&Run, &Signals)> = find.iter().chain(prove).collect();
-    runs.sort_by(|a, b| a.1.start_s.total_cmp(&b.1.start_s).then(a.0.name.cmp(&b.0.name)));
-    let all: Vec<(Vec<Sums>, f64)> = runs.iter().map(|(r, s)| strong(m, model, r, s)).collect();
-    let greatest = all.iter().fold(0.0, |a: f64, b| a.max(b.1));
-    let mut stretches: Vec<Sums> = all.into_iter().flat_map(|a| a.0).collect();
-    // the strongest among those that prove as among those that find
-    stretches.sort_by(|a, b| b.xx.total_cmp(&a.xx));
-    let proves = |i: usize| i % 3 == 1;
-    let of = |wanted: bool| -> Vec<Sums> {
-        let all = stretches.iter().enumerate().filter(|(i, _)| proves(*i) == wanted);
-        all.map(|(_, s)| *s).collect()
-    };
-    let loss = jackknife(&of(false))?;
-    let proof = Sums::all(&of(true));
-    Some(Strong {
-        loss,
-        greatest,
-        rms: (proof.rms(0.0), proof.rms(loss.0)),
-    })
-}
-
-/// Torque that strong currents do not give.
-fn saturation(strong: &Strong) -> Option<Beside> {
-    let ((value, sd), (before, after)) = (strong.loss, strong.rms);
-    let seen = (
-        "impulses of strong currents against what the flux makes of them, over their uncertainty",
-        "-",
-    );
-    // what something else makes of strong currents is only a little less by it
-    (value > 0.0
-        && strong.greatest > 0.0
-        && after < MOST_LEFT
-        && holds(value, sd, LEAST_LOSS / strong.greatest, before, after))
-    .then(|| found(EffectKind::TorqueSaturation, (value, sd), seen, (before, after)))
-}
-
-/// Most that a loss of torque leaves of the impulses of strong currents, over their uncertainty (assumed).
-const MOST_LEFT: f64 = 4.0;
-
-/// How far constants of units of one type differ, one sigma relative: resistance at 20 degC, inductance, inertia
-/// (assumed); and squared standard deviations that an explanation must take.
-const OF_UNITS: [(&str, f64); 3] = [("resistance", 0.04), ("inductance", 0.03), ("inertia", 0.08)];
-const TOGETHER: f64 = 9.0;
-/// Same of a rig, whose constants are trusted as its bench says: it knows no other unit of its type (assumed).
-const TOGETHER_OF_RIG: f64 = 16.0;
-/// Constants that a rig's gain of the current changes; its inductance is known too roughly.
-const OF_RIG: [&str; 4] = ["resistance", "inertia", "coulomb", "viscous"];
-/// Squared standard deviations by which another explanation must be worse.
-const APART: f64 = 4.0;
-
-/// What stands behind constants that are off together.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Behind {
-    /// logarithm of the factor of the resistance
-    Warm(f64),
-    /// logarithm of the factor of the measured current
-    Gain(f64),
-}
-
-/// A constant over what was believed of it, logarithm, and how far it may be off, one sigma.
-#[derive(Clone, Copy, Debug)]
-struct Off {
-    name: &'static str,
-    x: f64,
-    sd: f64,
-}
-
-impl Off {
-    /// Power of a current's gain that the constant shows: what is divided by a current that is too great is too small.
-    fn by(&self) -> f64 {
-        if matches!(self.name, "resistance" | "inductance") {
-            -1.0
-        } else {
-            1.0
-        }
-    }
-}
-
-/// A warm winding raises the resistance alone; a sensor that shows too much current lowers resistance and inductance and
-/// raises what has to be moved, all by one factor. What explains them with its standard deviation, whether the other does as
-/// well, and squared standard deviations from what was believed without it and with it.
-///
-/// * `least` squared standard deviations that an explanation must take
-fn explained(all: &[Off], least: f64) -> Option<(Behind, f64, bool, f64, f64)> {
-    let of = |left: &dyn Fn(&Off) -> f64| -> f64 { all.iter().map(|o| (left(o) / o.sd).powi(2)).sum() };
-    let weight = |o: &Off| o.sd.powi(-2);
-    let weights = all.iter().map(weight).sum::<f64>();
-    let g = all.iter().map(|o| weight(o) * o.by() * o.x).sum::<f64>() / weights;
-    let resistance = all.iter().find(|o| o.name == "resistance")?;
-    let left = |o: &Off| o.x - o.by() * g;
-    let (plain, gain) = (of(&|o| o.x), of(&left));
-    let warm = of(&|o| if o.name == "resistance" { 0.0 } else { o.x });
-    let is_warm = resistance.x > 0.0 && plain - warm > least;
-    let is_gain = plain - gain > least && all.iter().all(|o| left(o).abs() <= o.x.abs().max(2.0 * o.sd));
-    let (behind, sd, after, other, is_other) = if is_gain && (!is_warm || gain < warm) {
-        (Behind::Gain(g), weights.sqrt().recip(), gain, warm, is_warm)
-    } else if is_warm {
-        (Behind::Warm(resistance.x), resistance.sd, warm, gain, is_gain)
-    } else {
-        return None;
-    };
-    Some((behind, sd, is_other && other - after < APART, plain, after))
-}
-
-/// What the constants say together.
-pub(super) fn together(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<Beside> {
-    // effects that a resistance or an inertia gives way to
-    let disturbing = |t: &Term| {
-        matches!(
-            t.kind,
-            EffectKind::DeadTime | EffectKind::TurnShort | EffectKind::Compliance | EffectKind::Backlash
-        )
-    };
-    if m.held.is_none() || model.terms.iter().any(disturbing) {
-        return None;
-    }
-    let off = |name: &'static str, sd: Option<f64>| -> Option<Off> {
-        let believed = first.iter().find(|n| n.name == name)?;
-        let sd = sd.or(believed.trust).filter(|t| *t > 0.0)?;
-        let x = (fit::constant(&m.nuisances, model, name) / believed.nominal).ln();
-        x.is_finite().then_some(Off { name, x, sd })
-    };
-    let (all, least, seen) = if m.bench.has_phases() {
-        let all: Option<Vec<Off>> = OF_UNITS.iter().map(|c| off(c.0, Some(c.1))).collect();
-        (
-            all?,
-            TOGETHER,
-            "constants against those of the type, in their standard deviations",
-        )
-    } else {
-        // what is fixed or free says nothing
-        let all = OF_RIG.iter().filter_map(|name| off(name, None)).collect();
-        (
-            all,
-            TOGETHER_OF_RIG,
-            "constants against what they were trusted, in standard deviations",
-        )
-    };
-    explained(&all, least)?;
-    // what they are known to by themselves counts too; it takes longer to work out than to see that nothing is to be explained
-    let known = intervals(m, model).nuisance;
-    let of = |o: Off| {
-        let k = m.nuisances.iter().position(|n| n.name == o.name);
-        let own = k.map_or(0.0, |k| known[k] / NORMAL_95);
-        Off {
-            sd: o.sd.hypot(own),
-            ..o
-        }
-    };
-    let all: Vec<Off> = all.into_iter().map(of).collect();
-    let (behind, sd, either, before, after) = explained(&all, least)?;
-    let rms = (before.sqrt(), after.sqrt());
-    let (kind, other, value, sd, factors) = match behind {
-        Behind::Gain(g) => (
-            EffectKind::CurrentGain,
-            EffectKind::WindingHeating,
-            g.exp_m1(),
-            g.exp() * sd,
-            [
-                ("resistance", g),
-                ("inductance", g),
-                ("inertia", -g),
-                ("coulomb", -g),
-                ("viscous", -g),
-            ]
-            .map(|(name, g)| (name, g.exp()))
-            .to_vec(),
-        ),
-        Behind::Warm(x) => (
-            EffectKind::WindingHeating,
-            EffectKind::CurrentGain,
-            x.exp_m1() / COPPER_PER_K,
-            sd * x.exp() / COPPER_PER_K,
-            vec![("resistance", (-x).exp())],
-        ),
-    };
-    Some(Beside {
-        ambiguous: if either { vec![other] } else { Vec::new() },
-        factors,
-        ..found(kind, (value, sd), (seen, "-"), rms)
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -617,29 +356,5 @@ mod tests {
         assert!(jackknife(&parts[..2]).is_none());
         let all = Sums::all(&parts);
         assert!(all.rms(2.0) < 0.08 && all.rms(0.0) > 3.0);
-    }
-
-    #[test]
-    fn constants_that_are_off_together_have_one_cause() {
-        let explained = |x: [f64; 3]| {
-            let of = |(c, x): (&(&'static str, f64), f64)| Off { name: c.0, x, sd: c.1 };
-            super::explained(&OF_UNITS.iter().zip(x).map(of).collect::<Vec<_>>(), TOGETHER)
-        };
-        assert!(explained([0.0, 0.0, 0.0]).is_none());
-        // within what units of a type differ
-        assert!(explained([0.04, -0.02, 0.08]).is_none());
-        // a winding 50 K warmer
-        let warm = (50.0 * COPPER_PER_K).ln_1p();
-        let (behind, _, either, _, after) = explained([warm, 0.01, -0.03]).unwrap();
-        assert_eq!((behind, either), (Behind::Warm(warm), false));
-        assert!(after < 0.5);
-        // currents 12 % too great
-        let g = 0.12_f64.ln_1p();
-        let (behind, _, _, before, after) = explained([-g, -g, g]).unwrap();
-        assert!(matches!(behind, Behind::Gain(x) if (x - g).abs() < 1e-12), "{behind:?}");
-        assert!(before > 20.0 && after < 1e-9);
-        // 10 % too small looks like a warm winding with another inductance
-        let (behind, ..) = explained([-(0.9_f64.ln()), -(0.9_f64.ln()), 0.9_f64.ln()]).unwrap();
-        assert!(matches!(behind, Behind::Gain(x) if x < 0.0), "{behind:?}");
     }
 }
