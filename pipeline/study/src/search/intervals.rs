@@ -219,13 +219,23 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
         let x = inverse.column(*i) * (BELIEF * b);
         a += &x * x.transpose();
     }
-    // how far another law of each effect would move all
+    // how far another law of each effect would move all, as much of it as the data allow
     let moved: Vec<DVector<f64>> = otherwise(p, m, fit, of)
         .iter()
         .map(|d| {
             let weighted: Vec<f64> = d.iter().zip(&w).map(|(d, w)| d * w).collect();
             let x = &inverse * DVector::from_fn(count, |a, _| fit::dot(&scaled[a], &weighted) / norm[a]);
-            DVector::from_fn(count, |a, _| x[a] / norm[a])
+            let x = DVector::from_fn(count, |a, _| x[a] / norm[a]);
+            let mut alone = d.clone();
+            for (a, c) in j.iter().enumerate() {
+                alone.iter_mut().zip(c).for_each(|(o, c)| *o -= x[a] * c);
+            }
+            let size: f64 = alone.iter().zip(&w).map(|(o, w)| (o * w).powi(2)).sum();
+            let (by_block, _) = scores(p, &[alone], &fit.residual, &fit.sigma, 1);
+            let along: f64 = by_block.iter().map(|b| b[0]).sum();
+            let scatter: f64 = by_block.iter().map(|b| b[0] * b[0]).sum();
+            let share = (along * along + scatter.max(size)).sqrt() / size.max(1e-300);
+            x * share.min(1.0)
         })
         .collect();
     let by_law = |i: usize, k: usize| -> f64 { moved.iter().map(|x| x[i] * x[k]).sum() };
