@@ -18,8 +18,10 @@ const ROUNDS: usize = 7;
 const WORSE: f64 = 1.1;
 /// Time over which a gap of the angle is one and the same [s] (assumed).
 const ONE_S: f64 = 0.05;
-/// Share of the angle's gap on held-out runs, rms, that must be gone for the loop to be believed (assumed).
+/// Share of the angle's gap on held-out runs, rms, that must be gone for the loop to be believed, unless it follows the motion as loops
+/// of known constants do (assumed) [rad]: what was right before says how right it is.
 const LEAST_SHARE: f64 = 0.2;
+const FOLLOWED_RAD: f64 = 0.03;
 
 /// What the loop tells is no better than this, one sigma relative, and of the windings: what the model's step, its relays and another
 /// source make of it (assumed; of 20 plain benches of another hand resistance was off by 1.7 % rms, inductance by 3 %).
@@ -140,7 +142,9 @@ pub fn by_loop(bench: &Bench, child: &ActuatorParameters, said: &[(String, f64)]
     let Nearest {
         x, variance, without, ..
     } = &best;
-    if best.proven.is_nan() || best.proven > (1.0 - LEAST_SHARE) * before.unwrap_or(0.0) {
+    let before = before.unwrap_or(0.0);
+    let follows = best.proven < before.min(FOLLOWED_RAD);
+    if best.proven.is_nan() || !follows && best.proven > (1.0 - LEAST_SHARE) * before {
         return Ok(None);
     }
     // torques, voltages, resistance and inductance that are all greater by the same make the same motion: without a measured supply
