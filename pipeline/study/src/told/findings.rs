@@ -270,7 +270,7 @@ impl FoundEffect {
             Law::AngleAndSpeed => {
                 "in the measured speed too, which is of the same sensor, and the speed loop acts on it"
             }
-            Law::Flux => "the flux is lost, and the back-EMF falls with the torque",
+            Law::Flux => "the flux saturates, and the back-EMF falls with the torque",
             Law::Bridged => {
                 "a contact bridges the turns, whose own current brakes; the fraction is that of a contact without resistance: with one \
                  there are more turns, with the same effect"

@@ -250,7 +250,7 @@ fn correlation(o: &Outcome, i: &Intervals) -> Vec<f64> {
     (0..n * n).map(|k| of(k / n, k % n)).collect()
 }
 
-fn term_text(kind: EffectKind) -> &'static str {
+fn term_text(kind: EffectKind, law: Law) -> &'static str {
     match kind {
         EffectKind::Stribeck => "torque exp(-(|w|/speed)^exponent) sgn w",
         EffectKind::LubricatedRise => "torque (1 - exp(-|w|/speed)) sgn w",
@@ -265,6 +265,7 @@ fn term_text(kind: EffectKind) -> &'static str {
         EffectKind::Cogging => "amplitude cos(order theta + phase)",
         EffectKind::TorqueRipple => "kt, ke (1 + fraction cos(order theta + phase))",
         EffectKind::Eccentricity => "Eq. 5 of the paper: k_q (1 + zeta cos(theta + phase + 2 pi q/3))",
+        EffectKind::TorqueSaturation if law == Law::Flux => "kt, ke/sqrt(1 + (coefficient i)^2)",
         EffectKind::TorqueSaturation => "kt i (1 - coefficient |i|)",
         EffectKind::SpringLoad => "stiffness theta",
         EffectKind::Compliance => "load mass of this inertia on a spring and damper",
@@ -329,7 +330,7 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
             FoundEffect {
                 name: term.kind.name().to_string(),
                 equation: term.kind.equation().name().to_string(),
-                term: term_text(term.kind).to_string(),
+                term: term_text(term.kind, e.law).to_string(),
                 parameters,
                 correlation: i.term_correlation[t].clone(),
                 explained_share: share.clamp(0.0, 1.0),
@@ -365,7 +366,7 @@ fn found_beside(m: &Material, b: &Beside) -> FoundEffect {
     FoundEffect {
         name: b.kind.name().to_string(),
         equation: b.kind.equation().name().to_string(),
-        term: term_text(b.kind).to_string(),
+        term: term_text(b.kind, b.law).to_string(),
         parameters: std::iter::once(Identified {
             name: key.name.to_string(),
             value: b.value,
