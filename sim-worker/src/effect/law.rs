@@ -51,10 +51,13 @@ pub(super) const SENSOR: LawKey = LawKey {
     ],
 };
 
+/// Laws that a source may follow.
+pub const SOURCES: [Law; 3] = [Law::First, Law::Bridge, Law::Legs];
+
 pub(super) const DRAW: LawKey = LawKey {
     name: "draw",
     elsewhere: "it is in no source",
-    laws: &[("power", Law::First), ("bridge", Law::Bridge), ("legs", Law::Legs)],
+    laws: &[("power", SOURCES[0]), ("bridge", SOURCES[1]), ("legs", SOURCES[2])],
 };
 
 pub(super) const READS: LawKey = LawKey {

@@ -22,7 +22,7 @@ pub use equations::{
 pub use file::{MOST, read};
 pub use inject::Injection;
 pub use kind::{EffectKind, Equation, ParameterKey};
-pub use law::{Law, LawKey, PHASES};
+pub use law::{Law, LawKey, PHASES, SOURCES};
 pub use over_lanes::{Felt, LaneEffects};
 pub use state::{Dahl, DelayLine, Play, TwoMass};
 

@@ -191,7 +191,7 @@ pub struct Rig {
     pub offset: f64,
     pub resistance: Known,
     pub inductance: Known,
-    /// what points of the currents tell of the inductance, where nothing is said of the type alone
+    /// of this motor, where phase currents that are read at points tell it from point to point
     pub inductance_by_points: Option<Known>,
     pub back_emf: Known,
     /// both as the bench says them, where they were taken for one constant of a motor

@@ -93,15 +93,15 @@ pub fn of_phases<'a>(of_type: f64, column: impl Fn(&str) -> Option<&'a [f64]>) -
 /// Second differences leave out what is slow, back-EMF and resistance, and what the points do not say of it is even about each change.
 fn phase(i: &[&[f64]; 3], v: &[&[f64]; 3], q: usize) -> Phase {
     let n = i[0].len();
-    let rough = |of: &dyn Fn(usize) -> f64, from: usize| -> Vec<f64> {
-        (from + 2..n).map(|k| of(k - 2) - 2.0 * of(k - 1) + of(k)).collect()
-    };
+    // from the first sample on that has a change two samples before it
+    let rough =
+        |of: &dyn Fn(usize) -> f64| -> Vec<f64> { (3..n).map(|k| of(k - 2) - 2.0 * of(k - 1) + of(k)).collect() };
     let (r, s) = ((q + 1) % 3, (q + 2) % 3);
     let mean = |k: usize| (v[0][k] + v[1][k] + v[2][k]) / 3.0;
     Phase {
-        voltage: rough(&|k| v[q][k] - mean(k), 1),
-        own: rough(&|k| i[q][k] - i[q][k - 1], 1),
-        others: rough(&|k| (i[r][k - 1] - i[r][k]) + (i[s][k - 1] - i[s][k]), 1),
+        voltage: rough(&|k| v[q][k] - mean(k)),
+        own: rough(&|k| i[q][k] - i[q][k - 1]),
+        others: rough(&|k| (i[r][k - 1] - i[r][k]) + (i[s][k - 1] - i[s][k])),
     }
 }
 

@@ -5,11 +5,10 @@
 use crate::measured::bench::{Bench, BenchChannel, Role};
 use crate::search::beside::{Beside, found, scatter};
 use crate::told::knobs::{self, KNOBS, Knob, MECHANICS, PIECE_S, STEP};
-use crate::told::source::SOURCES;
 use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated};
 use nalgebra::{DMatrix, DVector};
 use schemas::error::Result;
-use sim_worker::effect::{Effect, EffectKind, Law};
+use sim_worker::effect::{Effect, EffectKind, Law, SOURCES};
 use sim_worker::parameters::ActuatorParameters;
 use std::collections::BTreeMap;
 

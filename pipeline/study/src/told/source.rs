@@ -7,11 +7,8 @@ use crate::search::beside::scatter;
 use crate::search::study::Source;
 use crate::told::verify::{self, AT_ONCE, Recorded};
 use schemas::error::Result;
-use sim_worker::effect::{Effect, EffectKind, Law};
+use sim_worker::effect::{Effect, EffectKind, Law, SOURCES};
 use sim_worker::parameters::ActuatorParameters;
-
-/// Laws that a source may follow.
-pub const SOURCES: [Law; 3] = [Law::First, Law::Bridge, Law::Legs];
 
 /// Place of a law in [`SOURCES`].
 fn place(draw: Law) -> usize {
