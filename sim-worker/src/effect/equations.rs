@@ -109,7 +109,7 @@ pub(super) fn saturation(coefficient: f64, i: f64) -> f64 {
 
 /// Share of torque and back-EMF that a saturated flux leaves at the equivalent current [A].
 #[inline(always)]
-pub(super) fn flux_left(coefficient: f64, i: f64) -> f64 {
+pub fn flux_left(coefficient: f64, i: f64) -> f64 {
     let x = coefficient * i;
     1.0 / (1.0 + x * x).sqrt()
 }

@@ -201,11 +201,6 @@ impl Injection {
         self.saturation.iter().map(|e| e.flux(i)).product()
     }
 
-    /// Whether the flux saturates.
-    pub(super) fn has_flux(&self) -> bool {
-        self.saturation.iter().any(|e| e.law == Law::Flux)
-    }
-
     /// Measured angle less the true one [rad].
     pub fn angle_error(&self, theta: f64) -> f64 {
         self.encoder.iter().map(|e| e.angle_error(theta)).sum()

@@ -17,7 +17,7 @@ mod tests_physics;
 use nalgebra::DMatrix;
 
 pub use equations::{
-    COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, flux, shape,
+    COPPER_PER_K, Constants, REFERENCE_TEMPERATURE_DEGC, Signals, commutation_share, conducting, flux, flux_left, shape,
 };
 pub use file::{MOST, read};
 pub use inject::Injection;

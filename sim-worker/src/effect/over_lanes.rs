@@ -201,8 +201,8 @@ impl<const N: usize> LaneEffects<N> {
             self.dead_time |= !e.dead_time.is_empty();
             self.stateful |= e.bristles.is_some() || e.behind.is_some();
             self.behind |= e.behind.is_some();
-            self.saturated |= !e.saturation.is_empty();
-            self.flux |= e.has_flux();
+            self.saturated |= e.saturation.iter().any(|e| e.law != Law::Flux);
+            self.flux |= e.saturation.iter().any(|e| e.law == Law::Flux);
             self.delayed |= e.delay.is_some();
             let felt = &mut self.felt;
             felt.sag[l] = 0.5 * e.source * u.volt / u.ampere;
@@ -210,7 +210,7 @@ impl<const N: usize> LaneEffects<N> {
                 felt.bus[l] = 1.0;
             }
             felt.by_size[l] = e.draw == Law::Legs;
-            self.currents |= self.electrical || self.dead_time || self.saturated;
+            self.currents |= self.electrical || self.dead_time || self.saturated || self.flux;
             self.currents |= e.source != 0.0 || e.offset != 0.0 || e.gains != [1.0; 3] || e.sensors != [0.0; 3];
             (0..3).for_each(|q| felt.gain[q][l] = e.gains[q]);
             felt.uneven[l] = e.gains != [e.gains[0]; 3];

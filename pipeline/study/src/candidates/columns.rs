@@ -444,11 +444,17 @@ pub fn trust(kind: EffectKind) -> Option<f64> {
 /// * `coulomb`, `hottest` nominal dry friction [N m] and greatest measured rise over 20 degC [K]
 pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64, hottest: f64) -> Effect {
     let a = |i: usize| amplitudes.get(i).copied().unwrap_or(0.0);
+    let law = match kind {
+        EffectKind::SupplySag if shape.first() == Some(&LEGS) => Law::Legs,
+        EffectKind::TurnShort if shape.get(1) == Some(&BRIDGED) => Law::Bridged,
+        EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => Law::AngleAndSpeed,
+        EffectKind::TorqueSaturation if !shape.is_empty() => Law::Flux,
+        EffectKind::CurrentGain => shape.first().map_or(Law::First, |q| Law::Phase(*q as usize)),
+        _ => Law::First,
+    };
     let values: Vec<f64> = match form(kind) {
         Form::Amplitude if kind == EffectKind::CurrentGain => vec![a(0) / (1.0 - a(0))],
-        Form::Amplitude if kind == EffectKind::TorqueSaturation && !shape.is_empty() => {
-            vec![a(0).max(0.0).sqrt() / shape[0]]
-        }
+        Form::Amplitude if law == Law::Flux => vec![a(0).max(0.0).sqrt() / shape[0]],
         Form::Amplitude if kind.keys().len() == 1 => vec![a(0)],
         Form::Amplitude if kind == EffectKind::TurnShort => vec![a(0), shape[0]],
         Form::Amplitude => [&[a(0)], shape].concat(),
@@ -458,14 +464,6 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
         Form::Presliding => vec![a(0) * coulomb / shape[0], a(1).max(0.0)],
         Form::Heating if shape.first().is_some_and(|s| *s > 0.5) => vec![a(0)],
         Form::Heating => vec![a(0) * hottest],
-    };
-    let law = match kind {
-        EffectKind::SupplySag if shape.first() == Some(&LEGS) => Law::Legs,
-        EffectKind::TurnShort if shape.get(1) == Some(&BRIDGED) => Law::Bridged,
-        EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => Law::AngleAndSpeed,
-        EffectKind::TorqueSaturation if !shape.is_empty() => Law::Flux,
-        EffectKind::CurrentGain => shape.first().map_or(Law::First, |q| Law::Phase(*q as usize)),
-        _ => Law::First,
     };
     Effect::new(kind, &values).wrapped().by(law)
 }

@@ -48,9 +48,9 @@ pub const LEGS: f64 = 3.0;
 /// Second shape of a phase whose short turns a contact bridges.
 pub const BRIDGED: f64 = 1.0;
 
-/// Share of the flux that an iron loses which saturates about the current `at` [A], `1 - 1/sqrt(1 + (i/at)^2)`.
+/// Share of the flux that an iron loses which saturates about the current `at` [A].
 pub fn flux_lost(at: f64, i: f64) -> f64 {
-    1.0 - (1.0 + (i / at).powi(2)).sqrt().recip()
+    1.0 - effect::flux_left(at.recip(), i)
 }
 
 /// As [`super::columns::contribution`], of effects that the phases tell apart; `None` for all others.

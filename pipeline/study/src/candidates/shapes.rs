@@ -302,7 +302,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::EncoderEccentricity => vec![(0.0, 2.0)],
         EffectKind::DeadTime if runs.iter().all(|r| r.phases.is_some()) => vec![(0.005, 0.5)],
         EffectKind::DeadTime => {
-            let most = runs.iter().flat_map(|r| &r.drive).fold(0.0, |a: f64, x| a.max(x.abs()));
+            let most = strongest(runs);
             vec![(1e-4 * most, 0.5 * most)]
         }
         EffectKind::ControlDelay => vec![(1e-6, 0.5)],

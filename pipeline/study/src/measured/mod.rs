@@ -9,3 +9,4 @@ pub mod own;
 mod points;
 pub mod recording;
 pub(crate) mod rows;
+pub mod sums;

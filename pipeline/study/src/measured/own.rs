@@ -70,7 +70,7 @@ pub fn bench(paths: &[PathBuf], actuator: &ActuatorParameters, mapped: Option<&P
             if let Some(Points { inductance, trust }) = points {
                 text += &format!("inductance_by_points = {{ value = {inductance:?}, trust = {trust:?} }}\n");
             }
-            text += &("[channels]\n".to_string() + &channels(&table, &mapped, points.as_ref())?);
+            text += &("[channels]\n".to_string() + &channels(&table, &mapped, points.is_some())?);
         }
         let whole = std::path::absolute(path).map_err(|e| Error::io(path, "cannot be found", e))?;
         all.extend(runs.into_iter().map(|r| (whole.display().to_string(), ends_s, r)));
@@ -173,8 +173,8 @@ fn columns(path: &Path, mapped: &Mapped) -> Result<Columns> {
 ///
 /// The noise of the reference sensors is said where their grain is seen, else it is estimated.
 ///
-/// * `points` what the phase currents tell if they are points
-fn channels(table: &Table, mapped: &Mapped, points: Option<&Points>) -> Result<String> {
+/// * `points` whether the phase currents are
+fn channels(table: &Table, mapped: &Mapped, points: bool) -> Result<String> {
     let sensors = catalogue::sensors("reference")?.filter(|s| is_seen(table, s));
     let names = &table.names;
     let mut text = String::new();
@@ -185,7 +185,7 @@ fn channels(table: &Table, mapped: &Mapped, points: Option<&Points>) -> Result<S
         text += &format!("{channel} = {line}\n");
     }
     let has = |n: &str| names.iter().any(|x| x == n);
-    let sampling = if points.is_some() { "point" } else { "mean" };
+    let sampling = if points { "point" } else { "mean" };
     for (column, channel, rest) in CHANNELS {
         let duplicate = mapped.has(channel)
             || mapped.columns.iter().any(|c| c == column)

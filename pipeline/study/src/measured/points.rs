@@ -1,6 +1,8 @@
 //! Phase currents that are read at points, beside voltages that are means over the samples: whether they are, and the inductance that
 //! they tell from point to point.
 
+use crate::measured::sums::{Sums, dot, jackknife};
+
 /// Share of the voltages' changes that the changes of points of the currents explain, and how much more of it than those of means, from
 /// which the currents are points (assumed: 0.1 at 2 kHz to 0.96 at 10 kHz and at least six times as much with points, up to 0.24 and twice as
 /// much with means).
@@ -64,29 +66,26 @@ pub fn of_phases<'a>(of_type: f64, column: impl Fn(&str) -> Option<&'a [f64]>) -
         return None;
     }
     // the noise of a sensor is not in the other two: they are its instrument (Durbin 1954)
-    let pieces: Vec<(f64, f64)> = (0..phases[0].own.len() / PIECE)
+    let pieces: Vec<Sums> = (0..phases[0].own.len() / PIECE)
         .map(|k| {
+            let part = k * PIECE..(k + 1) * PIECE;
             let of = |p: &Phase| {
-                let part = k * PIECE..(k + 1) * PIECE;
                 let z = &p.others[part.clone()];
-                (dot(z, &p.voltage[part.clone()]), dot(z, &p.own[part]))
+                Sums {
+                    xx: dot(z, &p.own[part.clone()]),
+                    xy: dot(z, &p.voltage[part.clone()]),
+                    ..Sums::default()
+                }
             };
-            let all = phases.each_ref().map(of);
-            (all.iter().map(|a| a.0).sum(), all.iter().map(|a| a.1).sum())
+            Sums::all(&phases.each_ref().map(of))
         })
         .collect();
-    let (volts, amperes) = pieces.iter().fold((0.0, 0.0), |a, p| (a.0 + p.0, a.1 + p.1));
-    let inductance = volts / amperes;
-    let without = pieces
-        .iter()
-        .map(|p| (volts - p.0) / (amperes - p.1) / inductance - 1.0);
-    let count = pieces.len() as f64;
-    let sd = ((count - 1.0) / count * without.map(|x| x * x).sum::<f64>()).sqrt();
-    let inductance = 2.0 * inductance * step_s;
+    let (volts_per_ampere, sd) = jackknife(&pieces)?;
+    let inductance = 2.0 * volts_per_ampere * step_s;
     let known = (of_type / OF_TYPE..of_type * OF_TYPE).contains(&inductance) && sd.is_finite();
     known.then(|| Points {
         inductance,
-        trust: sd.hypot(BY_GAINS),
+        trust: (sd / volts_per_ampere).hypot(BY_GAINS),
     })
 }
 
@@ -109,10 +108,6 @@ fn phase(i: &[&[f64]; 3], v: &[&[f64]; 3], q: usize) -> Phase {
 fn explained(x: &[f64], y: &[f64]) -> f64 {
     let along = dot(x, y).max(0.0);
     along * along / (dot(x, x) * dot(y, y)).max(1e-300)
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 #[cfg(test)]

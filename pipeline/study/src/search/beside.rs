@@ -13,6 +13,7 @@ use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::bench::{BenchChannel, Role};
 use crate::measured::recording::Run;
+use crate::measured::sums::{Sums, jackknife, scatter};
 use crate::search::fit::{self, Fit, Term};
 use crate::search::select::Material;
 use sim_worker::effect::{EffectKind, Equation, Law, NORMAL_95, conducting};
@@ -58,53 +59,6 @@ const LEAST_OFFSET: f64 = 5.0;
 /// [electrical rad] (assumed).
 const CLEAR: f64 = 12.0;
 const MOST_SWEEP: f64 = 0.4;
-/// One part of an estimate: the least-squares sums of a run.
-#[derive(Clone, Copy, Debug, Default)]
-struct Sums {
-    xx: f64,
-    xy: f64,
-    yy: f64,
-    rows: f64,
-}
-
-impl Sums {
-    fn plus(self, o: &Self) -> Self {
-        Self {
-            xx: self.xx + o.xx,
-            xy: self.xy + o.xy,
-            yy: self.yy + o.yy,
-            rows: self.rows + o.rows,
-        }
-    }
-
-    fn all<'a>(parts: impl IntoIterator<Item = &'a Self>) -> Self {
-        parts.into_iter().fold(Self::default(), Self::plus)
-    }
-
-    /// rms of what is left with a value.
-    fn rms(&self, value: f64) -> f64 {
-        ((self.yy - 2.0 * value * self.xy + value * value * self.xx).max(0.0) / self.rows.max(1.0)).sqrt()
-    }
-}
-
-/// Value and standard deviation (jackknife over runs) of `y = value x`.
-fn jackknife(parts: &[Sums]) -> Option<(f64, f64)> {
-    let all = Sums::all(parts);
-    let used: Vec<&Sums> = parts.iter().filter(|p| p.xx > 1e-4 * all.xx).collect();
-    if used.len() < 3 || all.xx <= 0.0 {
-        return None;
-    }
-    let value = all.xy / all.xx;
-    let of = |p: &&Sums| (all.xy - p.xy) / (all.xx - p.xx).max(1e-300);
-    Some((value, scatter(used.iter().map(of), value)))
-}
-
-/// Standard deviation by estimates that each leave one part out.
-pub fn scatter(without: impl ExactSizeIterator<Item = f64>, value: f64) -> f64 {
-    let n = without.len() as f64;
-    ((n - 1.0) / n * without.map(|x| (x - value).powi(2)).sum::<f64>()).sqrt()
-}
-
 /// Runs of a problem with their signals.
 fn runs<'a>(m: &'a Material, p: &'a Problem, held: bool) -> Vec<(&'a Run, &'a Signals)> {
     let of = |r: &&Run| {
@@ -336,25 +290,4 @@ fn sensor_of(m: &Material, model: &Fit, find: &[(&Run, &Signals)], offset: f64) 
     let most = (0..3).max_by(|a, b| share[*a].total_cmp(&share[*b]))?;
     let alone = (0..3).all(|q| q == most || share[q].abs() < 1.0 - STANDS_OUT);
     (share[most] > STANDS_OUT && alone).then_some(most)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_jackknife_knows_the_scatter_of_its_parts() {
-        let part = |x: f64, y: f64| Sums {
-            xx: x * x,
-            xy: x * y,
-            yy: y * y,
-            rows: 1.0,
-        };
-        let parts = [part(1.0, 2.1), part(2.0, 4.0), part(1.0, 1.9), part(2.0, 4.0)];
-        let (value, sd) = jackknife(&parts).unwrap();
-        assert!((value - 2.0).abs() < 1e-12 && sd > 0.005 && sd < 0.05, "{value} {sd}");
-        assert!(jackknife(&parts[..2]).is_none());
-        let all = Sums::all(&parts);
-        assert!(all.rms(2.0) < 0.08 && all.rms(0.0) > 3.0);
-    }
 }

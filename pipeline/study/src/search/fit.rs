@@ -4,6 +4,7 @@ use crate::candidates::columns;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
+use crate::measured::sums::dot;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
@@ -68,19 +69,6 @@ impl Regressor {
     pub fn is_empty(&self) -> bool {
         self.fixed.is_none() && self.linear.is_empty()
     }
-}
-
-/// Inner product.
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sum = [0.0; 8];
-    let (x, y) = (a.chunks_exact(8), b.chunks_exact(8));
-    let rest: f64 = x.remainder().iter().zip(y.remainder()).map(|(x, y)| x * y).sum();
-    for (x, y) in x.zip(y) {
-        for l in 0..8 {
-            sum[l] += x[l] * y[l];
-        }
-    }
-    rest + sum.iter().sum::<f64>()
 }
 
 /// How well a model does.

@@ -6,6 +6,7 @@ use crate::candidates::columns;
 use crate::candidates::laws;
 use crate::candidates::shapes;
 use crate::equations::problem::Problem;
+use crate::measured::sums::dot;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::select::Material;
 use nalgebra::{DMatrix, DVector};
@@ -155,8 +156,8 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
     let rows: Vec<Vec<f64>> = (0..count)
         .into_par_iter()
         .map(|a| {
-            let dot = |b: usize| scaled[a].iter().zip(&scaled[b]).map(|(x, y)| x * y).sum::<f64>();
-            (0..=a).map(|b| dot(b) / (norm[a] * norm[b])).collect()
+            let of = |b: usize| dot(&scaled[a], &scaled[b]) / (norm[a] * norm[b]);
+            (0..=a).map(of).collect()
         })
         .collect();
     let mut h = DMatrix::from_fn(count, count, |a, b| if b <= a { rows[a][b] } else { rows[b][a] });
@@ -224,7 +225,7 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
         .iter()
         .map(|d| {
             let weighted: Vec<f64> = d.iter().zip(&w).map(|(d, w)| d * w).collect();
-            let x = &inverse * DVector::from_fn(count, |a, _| fit::dot(&scaled[a], &weighted) / norm[a]);
+            let x = &inverse * DVector::from_fn(count, |a, _| dot(&scaled[a], &weighted) / norm[a]);
             let x = DVector::from_fn(count, |a, _| x[a] / norm[a]);
             let mut alone = d.clone();
             for (a, c) in j.iter().enumerate() {

@@ -3,7 +3,7 @@
 use crate::equations::phases::size_of;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::recording::Run;
-use crate::search::beside::scatter;
+use crate::measured::sums::scatter;
 use nalgebra::{Matrix3, Vector3};
 
 /// What a sensor of the supply's voltage is good for, at best (assumed).

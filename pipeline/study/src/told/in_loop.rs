@@ -2,7 +2,8 @@
 //! current as it came; the numerical test bench under the recorded command, late by one delay or another, says which fits.
 
 use crate::measured::bench::{Bench, BenchChannel, Role};
-use crate::search::beside::{Beside, found, scatter};
+use crate::measured::sums::scatter;
+use crate::search::beside::{Beside, found};
 use crate::told::command;
 use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated, Verification};
 use schemas::error::Result;

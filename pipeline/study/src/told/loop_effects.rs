@@ -3,7 +3,8 @@
 //! comes to another angle than was measured, in the manner of that effect.
 
 use crate::measured::bench::{Bench, BenchChannel, Role};
-use crate::search::beside::{Beside, found, scatter};
+use crate::measured::sums::scatter;
+use crate::search::beside::{Beside, found};
 use crate::told::knobs::{self, KNOBS, Knob, MECHANICS, PIECE_S, STEP};
 use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated};
 use nalgebra::{DMatrix, DVector};

@@ -3,7 +3,7 @@
 //! command runs into the same limits.
 
 use crate::measured::bench::{Bench, BenchChannel, Role};
-use crate::search::beside::scatter;
+use crate::measured::sums::scatter;
 use crate::search::study::OfLoop;
 use crate::told::knobs::{self, KNOBS, Knob, PIECE_S, STEP};
 use crate::told::verify::{self, AT_ONCE, OfRuns, Simulated};

@@ -3,7 +3,7 @@
 
 use crate::equations::phases::size_of;
 use crate::measured::bench::{Bench, BenchChannel, Role};
-use crate::search::beside::scatter;
+use crate::measured::sums::scatter;
 use crate::search::study::Source;
 use crate::told::verify::{self, AT_ONCE, Recorded};
 use schemas::error::Result;

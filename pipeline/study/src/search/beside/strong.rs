@@ -1,9 +1,10 @@
 //! What strong currents say of their torque. No equation has their stretches.
 
-use super::{Both, Sums, found, holds, jackknife, noise_of};
+use super::{Both, found, holds, noise_of};
 use crate::equations::signals::Signals;
 use crate::measured::bench::BenchChannel;
 use crate::measured::recording::Run;
+use crate::measured::sums::{Sums, jackknife};
 use crate::search::beside::Beside;
 use crate::search::fit::{self, Fit};
 use crate::search::select::Material;
