@@ -3,6 +3,7 @@ pub mod closed_loop;
 mod delays;
 pub mod excitation;
 pub mod fit;
+pub mod form;
 pub mod intervals;
 pub mod judge;
 pub mod remainder;

@@ -77,6 +77,9 @@ impl Basis {
     }
 }
 
+/// Widths of a tight spot that are one side of it, and those of the other from which on it is seen to fall again (assumed).
+const WHOLE_SIDE: f64 = 2.0;
+const FALLS_AGAIN: f64 = 0.4;
 /// Springs of the grid that are refined.
 const SPRINGS: usize = 4;
 
@@ -346,7 +349,11 @@ impl<'a> Scan<'a> {
     fn inside(&self, kind: EffectKind, shape: &[f64]) -> bool {
         let (low, high) = self.problem.travel();
         match kind {
-            EffectKind::TightSpot => shape[0] - 2.0 * shape[1] > low && shape[0] + 2.0 * shape[1] < high,
+            // one side as a whole, and of the other so much that it is seen to fall again
+            EffectKind::TightSpot => {
+                let sides = [shape[0] - low, high - shape[0]].map(|side| side / shape[1]);
+                sides.iter().all(|s| *s > FALLS_AGAIN) && sides.iter().any(|s| *s > WHOLE_SIDE)
+            }
             k if shapes::has_order(k) => shape[0] * (high - low) > LEAST_PERIODS * std::f64::consts::TAU,
             EffectKind::Compliance if !self.problem.sees_user() => self.resounds(shape),
             _ => true,

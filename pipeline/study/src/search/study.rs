@@ -7,6 +7,7 @@ use crate::equations::problem::Problem;
 use crate::measured::bench::BenchChannel;
 use crate::search::beside::{self, Beside};
 use crate::search::fit::{self, Fit, Term};
+use crate::search::form::{self, Strange};
 use crate::search::intervals;
 use crate::search::judge::{LEAST_GAIN, OTHERWISE, SLOW_EXCESS, SLOWEST, Step, TWICE, judged};
 use crate::search::remainder;
@@ -77,6 +78,8 @@ pub struct Outcome {
     pub proofs: Vec<Proof>,
     /// effects that were found beside the equations
     pub beside: Vec<Beside>,
+    /// why effects that were found are not what is there
+    pub strange: Option<Strange>,
     /// the source by the simulated loop
     pub source: Option<Source>,
     /// constants that only the simulated loop tells
@@ -333,6 +336,14 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     if stranger && matches!(verdict, Verdict::None | Verdict::Retune) {
         verdict = Verdict::Unknown;
     }
+    let told = matches!(
+        verdict,
+        Verdict::Named | Verdict::NamedWithRemainder | Verdict::Ambiguous
+    );
+    let strange = told.then(|| form::strange(&m, &retuned, &model)).flatten();
+    if strange.is_some() {
+        verdict = Verdict::Unknown;
+    }
     if m.held.is_none() && !(model.terms.is_empty() && beside.is_empty()) {
         verdict = Verdict::Candidate;
     }
@@ -358,6 +369,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         ambiguous,
         proofs,
         beside,
+        strange,
         source: None,
         by_loop: Vec::new(),
     }

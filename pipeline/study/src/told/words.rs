@@ -2,6 +2,7 @@
 
 use crate::measured::bench::BenchChannel;
 use crate::search::closed_loop::ClosedLoop;
+use crate::search::form::Strange;
 use crate::search::select::Material;
 use crate::search::study::Outcome;
 use crate::search::verdict::Verdict;
@@ -36,6 +37,19 @@ pub(super) fn missing(m: &Material) -> Vec<(String, String)> {
     out
 }
 
+/// Why effects that were found are not what is there.
+fn strange(s: Strange) -> String {
+    match s {
+        Strange::Form { of, signed, share } => format!(
+            "; beside the closest effects it goes with the {}{} in a form of its own, {:.0} % of what they take",
+            of.name(),
+            if signed { ", against the motion," } else { "" },
+            100.0 * share
+        ),
+        Strange::Composed => "; it takes three effects of the rotor's angle or the place to follow it".to_string(),
+    }
+}
+
 pub(super) fn unnamed(o: &Outcome, regions: &[Region]) -> String {
     let m = &o.material;
     let worst = m
@@ -56,8 +70,9 @@ pub(super) fn unnamed(o: &Outcome, regions: &[Region]) -> String {
         .last()
         .map(|s| s.ranked.iter().take(3).map(|r| r.term.kind.name()).collect())
         .unwrap_or_default();
+    let strange = o.strange.map_or(String::new(), strange);
     format!(
-        "unnamed {} in the {} equation: {:.3} times the noise is left on held-out data{place}; closest relatives: {}; a lookup table would take {:.0} % of the rest",
+        "unnamed {} in the {} equation: {:.3} times the noise is left on held-out data{strange}{place}; closest relatives: {}; a lookup table would take {:.0} % of the rest",
         match e {
             Equation::Torque => "torque",
             Equation::Electrical => "voltage",

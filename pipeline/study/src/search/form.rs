@@ -1,0 +1,194 @@
+//! Whether what effects leave has a form of its own: a law of a signal that the list does not have.
+
+use crate::equations::pieces::Piece;
+use crate::equations::problem::{Block, Problem};
+use crate::equations::signals::Signals;
+use crate::measured::recording::extent;
+use crate::measured::sums::dot;
+use crate::search::fit::{self, Fit, Term};
+use crate::search::remainder::{Regressor, edges};
+use crate::search::select::Material;
+use nalgebra::{DMatrix, DVector};
+use sim_worker::effect::{EffectKind, Equation};
+
+/// Pieces of a form, as many samples in each.
+const PIECES: usize = 12;
+/// Share of what the effects explain that a form may take beside them (assumed: a spring with a cubic part came to 0.14, one of five
+/// straight laws to 0.001, what is of none 0.2 to 2).
+const MOST: f64 = 0.2;
+/// Energy that a form takes, over that of a row, from which it is one (assumed).
+const CLEAR: f64 = 100.0;
+/// Keeps columns that are sums of others apart.
+const RIDGE: f64 = 1e-7;
+
+/// Why what was found is not what is there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Strange {
+    /// held-out data have a form beside the effects
+    Form {
+        /// of which signal
+        of: Regressor,
+        /// it turns over with the motion, as friction does
+        signed: bool,
+        /// energy that it takes, over that which the effects explain
+        share: f64,
+    },
+    /// several effects stand for one law: of the same order of the rotor's turn, or frictions of the place
+    Composed,
+}
+
+/// Torque by a signal, straight from knot to knot.
+struct Hats {
+    of: Regressor,
+    signed: bool,
+    knots: Vec<f64>,
+}
+
+impl Hats {
+    fn new(p: &Problem, of: Regressor, signed: bool) -> Option<Self> {
+        let samples = |b: &Block| -> Vec<f64> { b.samples.iter().map(|&k| of.value(&p.signals[b.run], k)).collect() };
+        let torque = p.blocks.iter().filter(|b| b.equation == Equation::Torque);
+        let (low, high) = extent(torque.flat_map(samples));
+        let mut knots = vec![low];
+        knots.extend(edges(p, Equation::Torque, of, PIECES));
+        knots.push(high);
+        knots.dedup();
+        (knots.len() > 3).then_some(Self { of, signed, knots })
+    }
+
+    /// Share of knot `i` in a value.
+    fn hat(&self, i: usize, x: f64) -> f64 {
+        let (at, last) = (self.knots[i], self.knots.len() - 1);
+        let towards = |from: f64| ((x - from) / (at - from)).max(0.0);
+        match x.total_cmp(&at) {
+            std::cmp::Ordering::Less if i > 0 => towards(self.knots[i - 1]),
+            std::cmp::Ordering::Greater if i < last => towards(self.knots[i + 1]),
+            _ => 1.0,
+        }
+    }
+
+    fn columns(&self, p: &Problem) -> Vec<Vec<f64>> {
+        let of_knot = |i: usize| {
+            let of_run = |s: &Signals| {
+                let torque = |k: usize| self.hat(i, self.of.value(s, k)) * if self.signed { s.sign[k] } else { 1.0 };
+                vec![Piece::of(Equation::Torque, 0, (0..s.n).map(torque).collect())]
+            };
+            p.column(&p.signals.iter().map(of_run).collect::<Vec<_>>())
+        };
+        (0..self.knots.len()).map(of_knot).collect()
+    }
+}
+
+/// The rows of one problem that are judged, what a model leaves of them, and its columns.
+struct Side<'a> {
+    p: &'a Problem,
+    residual: Vec<f64>,
+    rows: Vec<usize>,
+    columns: Vec<Vec<f64>>,
+}
+
+impl<'a> Side<'a> {
+    /// * `left` the rows of 0 are not judged
+    fn new(p: &'a Problem, m: &Material, model: &Fit, residual: Vec<f64>, left: &[f64]) -> Self {
+        let torque = p.blocks.iter().filter(|b| b.equation == Equation::Torque);
+        let regressors = fit::regressors(p, &model.terms, &m.constants);
+        let amplitudes = regressors.into_iter().flat_map(|r| r.linear);
+        Self {
+            rows: torque
+                .flat_map(|b| b.rows.clone())
+                .filter(|r| left[*r] != 0.0)
+                .collect(),
+            columns: p.base.iter().cloned().chain(amplitudes).collect(),
+            residual,
+            p,
+        }
+    }
+
+    fn judged(&self, column: &[f64]) -> Vec<f64> {
+        self.rows.iter().map(|r| column[*r]).collect()
+    }
+
+    fn energy(&self, residual: &[f64]) -> f64 {
+        self.rows.iter().map(|r| residual[*r].powi(2)).sum()
+    }
+}
+
+/// Energy that is left of the held-out rows with a form learnt on the fit runs, constants and amplitudes learnt once more beside it.
+fn left(find: &Side, prove: &Side, model: &Fit, form: Option<&Hats>) -> Option<f64> {
+    let hats = |p: &Problem| form.map_or_else(Vec::new, |f| f.columns(p));
+    let of_model = find.columns.len();
+    let own = hats(find.p);
+    let all = find.columns.iter().chain(&find.p.local).chain(&own);
+    let columns: Vec<Vec<f64>> = all.map(|c| find.judged(c)).collect();
+    let y = find.judged(&find.residual);
+    let n = columns.len();
+    let norms: Vec<f64> = columns.iter().map(|c| dot(c, c).sqrt().max(1e-150)).collect();
+    let mut gram = DMatrix::from_fn(n, n, |i, j| dot(&columns[i], &columns[j]) / (norms[i] * norms[j]));
+    for (j, trust) in model
+        .believed
+        .iter()
+        .enumerate()
+        .filter_map(|(j, b)| Some((j, b.trust?)))
+    {
+        gram[(j, j)] += (model.sigma[Equation::Torque.index()] / trust.max(1e-9) / norms[j]).powi(2);
+    }
+    for i in 0..n {
+        gram[(i, i)] += RIDGE;
+    }
+    let x = gram
+        .cholesky()?
+        .solve(&DVector::from_fn(n, |i, _| dot(&columns[i], &y) / norms[i]));
+    let mut r = prove.residual.clone();
+    let learnt = (0..of_model).chain(of_model + find.p.local.len()..n);
+    for (i, column) in learnt.zip(prove.columns.iter().chain(&hats(prove.p))) {
+        let size = x[i] / norms[i];
+        r.iter_mut().zip(column).for_each(|(r, c)| *r -= size * c);
+    }
+    Some(prove.energy(&fit::without_local(prove.p, r, &model.sigma)))
+}
+
+/// What the list does not have, though effects of it were found. Nothing where no data are held out.
+///
+/// * `retuned` the model without effects
+pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
+    m.held.as_ref()?;
+    if composed(model) {
+        return Some(Strange::Composed);
+    }
+    let judged = m.judged_residual(model);
+    let prove = Side::new(m.held_problem(), m, model, m.held_residual(model), &judged);
+    let left_of = prove.energy(&prove.residual);
+    let explained = prove.energy(&m.held_residual(retuned)) - left_of;
+    let clear = CLEAR * left_of / prove.rows.len().max(1) as f64;
+    if explained < clear {
+        return None;
+    }
+    let find = Side::new(&m.fit, m, model, model.residual.clone(), &vec![1.0; m.fit.rows]);
+    let alone = left(&find, &prove, model, None)?;
+    let laws = [
+        (Regressor::Speed, false),
+        (Regressor::Position, false),
+        (Regressor::Position, true),
+        (Regressor::Drive, false),
+    ];
+    let forms = laws.into_iter().filter_map(|(of, signed)| {
+        let taken = alone - left(&find, &prove, model, Some(&Hats::new(&m.fit, of, signed)?))?;
+        let share = taken / explained;
+        (taken > clear && share > MOST).then_some((share, Strange::Form { of, signed, share }))
+    });
+    forms.max_by(|a, b| a.0.total_cmp(&b.0)).map(|f| f.1)
+}
+
+/// Orders that are one (assumed).
+const SAME_ORDER: f64 = 0.02;
+/// So many effects are one law that the list does not have (assumed).
+const COMPOSED: usize = 3;
+
+fn composed(model: &Fit) -> bool {
+    use EffectKind::{Cogging, PeriodicFriction, TightSpot, TorqueRipple};
+    let of_order = |t: &&Term| matches!(t.kind, PeriodicFriction | Cogging | TorqueRipple);
+    let of_place = |t: &&Term| matches!(t.kind, PeriodicFriction | TightSpot);
+    let orders: Vec<f64> = model.terms.iter().filter(of_order).map(|t| t.shape[0]).collect();
+    let alike = |a: f64| orders.iter().filter(|b| (a - **b).abs() < SAME_ORDER * a).count();
+    orders.iter().any(|a| alike(*a) >= COMPOSED) || model.terms.iter().filter(of_place).count() >= COMPOSED
+}
