@@ -152,7 +152,7 @@ fn left(find: &Side, prove: &Side, model: &Fit, form: Option<&Hats>) -> Option<f
 /// * `retuned` the model without effects
 pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
     m.held.as_ref()?;
-    if composed(model) {
+    if composed(&model.terms) {
         return Some(Strange::Composed);
     }
     let judged = m.judged_residual(model);
@@ -184,11 +184,65 @@ const SAME_ORDER: f64 = 0.02;
 /// So many effects are one law that the list does not have (assumed).
 const COMPOSED: usize = 3;
 
-fn composed(model: &Fit) -> bool {
+fn composed(terms: &[Term]) -> bool {
     use EffectKind::{Cogging, PeriodicFriction, TightSpot, TorqueRipple};
     let of_order = |t: &&Term| matches!(t.kind, PeriodicFriction | Cogging | TorqueRipple);
     let of_place = |t: &&Term| matches!(t.kind, PeriodicFriction | TightSpot);
-    let orders: Vec<f64> = model.terms.iter().filter(of_order).map(|t| t.shape[0]).collect();
+    let orders: Vec<f64> = terms.iter().filter(of_order).map(|t| t.shape[0]).collect();
     let alike = |a: f64| orders.iter().filter(|b| (a - **b).abs() < SAME_ORDER * a).count();
-    orders.iter().any(|a| alike(*a) >= COMPOSED) || model.terms.iter().filter(of_place).count() >= COMPOSED
+    orders.iter().any(|a| alike(*a) >= COMPOSED) || terms.iter().filter(of_place).count() >= COMPOSED
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sim_worker::effect::EffectKind::*;
+
+    #[test]
+    fn hats_add_up_to_one_and_reach_from_knot_to_knot() {
+        let knots = vec![-1.0, 0.0, 0.5, 2.0];
+        let hats = Hats {
+            of: Regressor::Speed,
+            signed: false,
+            knots,
+        };
+        for x in [-3.0, -1.0, -0.3, 0.0, 0.2, 0.5, 1.9, 2.0, 7.0] {
+            let sum: f64 = (0..4).map(|i| hats.hat(i, x)).sum();
+            assert!((sum - 1.0).abs() < 1e-15, "{x}: {sum}");
+        }
+        assert_eq!(
+            [hats.hat(1, -0.25), hats.hat(2, -0.25), hats.hat(0, -0.25)],
+            [0.75, 0.0, 0.25]
+        );
+    }
+
+    #[test]
+    fn three_of_one_order_or_of_the_place_stand_for_one_law() {
+        let terms = |all: &[(EffectKind, f64)]| -> Vec<Term> {
+            let term = |&(kind, first): &(EffectKind, f64)| Term {
+                kind,
+                shape: vec![first],
+                amplitudes: vec![1.0],
+            };
+            all.iter().map(term).collect()
+        };
+        assert!(composed(&terms(&[
+            (Cogging, 3.0),
+            (TorqueRipple, 3.01),
+            (PeriodicFriction, 2.99)
+        ])));
+        assert!(composed(&terms(&[
+            (TightSpot, 1.0),
+            (PeriodicFriction, 0.4),
+            (TightSpot, 9.0)
+        ])));
+        // magnets have several orders, and an offset of a current makes a cogging of its ripple
+        assert!(!composed(&terms(&[(Cogging, 6.0), (Cogging, 12.0), (Cogging, 18.0)])));
+        assert!(!composed(&terms(&[
+            (Cogging, 4.0),
+            (TorqueRipple, 4.0),
+            (TightSpot, 4.0)
+        ])));
+        assert!(!composed(&[]));
+    }
 }
