@@ -44,8 +44,8 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         EffectKind::LubricatedRise => one(log(1e-3 * fastest, 0.3 * fastest, 9)),
         EffectKind::TightSpot if stroke > 0.0 => {
             let mut out = Vec::new();
-            for width in [0.02, 0.05, 0.12] {
-                let n = (0.8 / width) as usize;
+            for width in [0.02, 0.05, 0.12, 0.3] {
+                let n = ((0.8 / width) as usize).max(8);
                 out.extend((0..=n).map(|i| vec![low + stroke * i as f64 / n as f64, width * stroke]));
             }
             out
@@ -289,7 +289,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::LubricatedRise => vec![(1e-4 * fastest, 0.5 * fastest)],
         EffectKind::TightSpot => vec![
             (low - 0.05 * stroke, high + 0.05 * stroke),
-            (0.004 * stroke, 0.25 * stroke),
+            (0.004 * stroke, 0.5 * stroke),
         ],
         EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke)],
         EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1e-3, 1e7), (0.0, 1e9), (0.0, 0.8)],
