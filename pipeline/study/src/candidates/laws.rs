@@ -5,7 +5,7 @@ use crate::candidates::columns::moments;
 use crate::candidates::phases::flux_lost;
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::Signals;
-use sim_worker::effect::{EffectKind, Equation};
+use sim_worker::effect::{self, EffectKind, Equation};
 
 /// Argument of the tangent that is nearest to an exponential rise (least squares over three to five of its speeds).
 const AS_STEEP: f64 = 0.72;
@@ -65,6 +65,14 @@ pub fn otherwise(
     Some(match kind {
         EffectKind::LubricatedRise => of_speed(&rise),
         EffectKind::Stribeck => of_speed(&|x| fall(x, shape[1])),
+        // what warms up may be a preload or a seal, and then it is the dry friction alone
+        EffectKind::TemperatureDependentFriction => each(&|s| {
+            let viscous = |m: effect::Signals| {
+                let warm = m.temperature - effect::REFERENCE_TEMPERATURE_DEGC;
+                -size * warm * c.effect.viscous * m.omega
+            };
+            moments(s, c).map(viscous).collect()
+        }),
         // a flux is one of two laws that were tried, and a size of its own
         EffectKind::TorqueSaturation if shape.is_empty() => {
             let all = runs.iter().flat_map(|s| currents(s, c));
