@@ -13,8 +13,8 @@ use sim_worker::effect::{EffectKind, Equation};
 
 /// Pieces of a form, as many samples in each.
 const PIECES: usize = 12;
-/// Share of what the effects explain that a form may take beside them (assumed: a spring with a cubic part came to 0.14, one of five
-/// straight laws to 0.001, what is of none 0.2 to 2).
+/// Share of what the effects explain that a form may take beside them (assumed: laws of the list left up to 0.004, a spring with a
+/// cubic part 0.14, what is none of them up to 2).
 const MOST: f64 = 0.2;
 /// Energy that a form takes, over that of a row, from which it is one (assumed).
 const CLEAR: f64 = 100.0;
