@@ -85,8 +85,8 @@ impl Machine {
         let scale = fit::deviation(nuisances, fit, "torque_constant").map_or(1.0, |(_, x)| 1.0 + x);
         let effect = |t| {
             let mut e = fit::effect_of(t, &m.constants, &m.fit);
-            if intervals::is_torque(e.kind) {
-                e.values[0] *= scale;
+            for key in (0..e.kind.keys().len()).filter(|key| intervals::is_torque(e.kind, *key)) {
+                e.values[key] *= scale;
             }
             e
         };

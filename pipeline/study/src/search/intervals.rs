@@ -310,21 +310,20 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
             let each = slopes[a].iter().flat_map(|x| slopes[b].iter().map(move |y| (x, y)));
             each.map(|((i, x), (k, y))| x * y * cov(*i, *k)).sum()
         };
-        let mut half = Vec::new();
-        for key in 0..keys {
-            let mut variance = shared(key, key);
-            // an amplitude in N m is as uncertain as the torque constant, a load on its spring as the inertia that it is a share of
-            if let (true, Some(j)) = (term.kind == EffectKind::Compliance, inertia) {
-                variance += (middle.values[key] * sd(j)).powi(2);
-            } else if let (0, true, Some(kt)) = (key, is_torque(term.kind), kt) {
-                variance += (middle.values[0] * sd(kt)).powi(2);
-            }
-            half.push(NORMAL_95 * variance.max(0.0).sqrt());
-        }
+        // what is in units of torque is as uncertain as the torque constant, a load on its spring as the inertia that it is a share of
+        let of_constant = |key: usize| -> f64 {
+            let constant = match term.kind {
+                EffectKind::Compliance if inertia.is_some() => inertia,
+                kind => kt.filter(|_| is_torque(kind, key)),
+            };
+            constant.map_or(0.0, |c| middle.values[key] * sd(c))
+        };
+        let covariance = |a: usize, b: usize| shared(a, b) + of_constant(a) * of_constant(b);
+        let deviation = |key: usize| covariance(key, key).max(0.0).sqrt();
+        let half = (0..keys).map(|key| NORMAL_95 * deviation(key)).collect();
         let both = |k: usize| -> f64 {
             let (a, b) = (k / keys, k % keys);
-            let deviation = |i: usize| half[i] / NORMAL_95;
-            let r = shared(a, b) / (deviation(a) * deviation(b)).max(1e-300);
+            let r = covariance(a, b) / (deviation(a) * deviation(b)).max(1e-300);
             if a == b { 1.0 } else { r.clamp(-1.0, 1.0) }
         };
         term_correlation.push((0..keys * keys).map(both).collect());
@@ -343,7 +342,10 @@ fn identity(n: usize) -> Vec<f64> {
     (0..n * n).map(|i| f64::from(i / n == i % n)).collect()
 }
 
-/// Whether the first parameter scales with the torque constant.
-pub fn is_torque(kind: EffectKind) -> bool {
-    kind.keys()[0].unit.starts_with("N m") || kind == EffectKind::LoadDependentFriction
+/// Whether a parameter scales with the torque constant.
+///
+/// * `key` its place among those of the kind
+pub fn is_torque(kind: EffectKind, key: usize) -> bool {
+    let unit = kind.keys()[key].unit;
+    unit.starts_with("N m") || unit == "kg m2" || kind == EffectKind::LoadDependentFriction
 }

@@ -296,13 +296,12 @@ fn effects(o: &Outcome, i: &Intervals) -> Vec<FoundEffect> {
         .enumerate()
         .map(|(t, term)| {
             let e = fit::effect_of(term, &m.constants, &m.fit);
-            let factor = if intervals::is_torque(term.kind) { scale } else { 1.0 };
             let source = o.source.filter(|_| term.kind == EffectKind::SupplySag);
             let parameters = e
                 .parameters()
                 .enumerate()
                 .map(|(k, (key, v))| {
-                    let s = if k == 0 { factor } else { 1.0 };
+                    let s = if intervals::is_torque(term.kind, k) { scale } else { 1.0 };
                     let (mut v, mut half) = (v * s, i.terms[t][k] * s);
                     // the simulated loop knows how much of the time the legs draw
                     if let Some(s) = source {
