@@ -1,5 +1,6 @@
 //! Whether what effects leave has a form of its own: a law of a signal that the list does not have.
 
+use crate::candidates::shapes::has_order;
 use crate::equations::pieces::Piece;
 use crate::equations::problem::{Block, Problem};
 use crate::equations::signals::Signals;
@@ -113,17 +114,30 @@ impl<'a> Side<'a> {
     }
 }
 
+/// Products of columns with each other and those before them, from column `first` on.
+fn products(columns: &[Vec<f64>], first: usize) -> Vec<Vec<f64>> {
+    let of = |i: usize| columns[..=i].iter().map(|c| dot(&columns[i], c)).collect();
+    (first..columns.len()).map(of).collect()
+}
+
 /// Energy that is left of the held-out rows with a form learnt on the fit runs, constants and amplitudes learnt once more beside it.
-fn left(find: &Side, prove: &Side, model: &Fit, form: Option<&Hats>) -> Option<f64> {
+///
+/// * `own` judged columns of model and single runs on the fit runs, and their products
+fn left(
+    (find, own): (&Side, &(Vec<Vec<f64>>, Vec<Vec<f64>>)),
+    prove: &Side,
+    model: &Fit,
+    form: Option<&Hats>,
+) -> Option<f64> {
     let hats = |p: &Problem| form.map_or_else(Vec::new, |f| f.columns(p));
     let of_model = find.columns.len();
-    let own = hats(find.p);
-    let all = find.columns.iter().chain(&find.p.local).chain(&own);
-    let columns: Vec<Vec<f64>> = all.map(|c| find.judged(c)).collect();
+    let (mut columns, mut lower) = own.clone();
+    columns.extend(hats(find.p).iter().map(|c| find.judged(c)));
+    lower.extend(products(&columns, lower.len()));
     let y = find.judged(&find.residual);
     let n = columns.len();
-    let norms: Vec<f64> = columns.iter().map(|c| dot(c, c).sqrt().max(1e-150)).collect();
-    let mut gram = DMatrix::from_fn(n, n, |i, j| dot(&columns[i], &columns[j]) / (norms[i] * norms[j]));
+    let norms: Vec<f64> = (0..n).map(|i| lower[i][i].sqrt().max(1e-150)).collect();
+    let mut gram = DMatrix::from_fn(n, n, |i, j| lower[i.max(j)][i.min(j)] / (norms[i] * norms[j]));
     for (j, trust) in model
         .believed
         .iter()
@@ -164,7 +178,15 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
         return None;
     }
     let find = Side::new(&m.fit, m, model, model.residual.clone(), &vec![1.0; m.fit.rows]);
-    let alone = left(&find, &prove, model, None)?;
+    let columns: Vec<Vec<f64>> = find
+        .columns
+        .iter()
+        .chain(&m.fit.local)
+        .map(|c| find.judged(c))
+        .collect();
+    let lower = products(&columns, 0);
+    let own = (columns, lower);
+    let alone = left((&find, &own), &prove, model, None)?;
     let laws = [
         (Regressor::Speed, false),
         (Regressor::Position, false),
@@ -172,7 +194,7 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
         (Regressor::Drive, false),
     ];
     let forms = laws.into_iter().filter_map(|(of, signed)| {
-        let taken = alone - left(&find, &prove, model, Some(&Hats::new(&m.fit, of, signed)?))?;
+        let taken = alone - left((&find, &own), &prove, model, Some(&Hats::new(&m.fit, of, signed)?))?;
         let share = taken / explained;
         (taken > clear && share > MOST).then_some((share, Strange::Form { of, signed, share }))
     });
@@ -185,10 +207,9 @@ const SAME_ORDER: f64 = 0.02;
 const COMPOSED: usize = 3;
 
 fn composed(terms: &[Term]) -> bool {
-    use EffectKind::{Cogging, PeriodicFriction, TightSpot, TorqueRipple};
-    let of_order = |t: &&Term| matches!(t.kind, PeriodicFriction | Cogging | TorqueRipple);
-    let of_place = |t: &&Term| matches!(t.kind, PeriodicFriction | TightSpot);
-    let orders: Vec<f64> = terms.iter().filter(of_order).map(|t| t.shape[0]).collect();
+    let of_place = |t: &&Term| matches!(t.kind, EffectKind::PeriodicFriction | EffectKind::TightSpot);
+    let of_order = terms.iter().filter(|t| has_order(t.kind));
+    let orders: Vec<f64> = of_order.map(|t| t.shape[0]).collect();
     let alike = |a: f64| orders.iter().filter(|b| (a - **b).abs() < SAME_ORDER * a).count();
     orders.iter().any(|a| alike(*a) >= COMPOSED) || terms.iter().filter(of_place).count() >= COMPOSED
 }
