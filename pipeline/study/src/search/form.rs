@@ -9,6 +9,7 @@ use crate::measured::sums::dot;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::remainder::{Regressor, edges};
 use crate::search::select::Material;
+use crate::search::verdict::BEYOND;
 use nalgebra::{DMatrix, DVector};
 use sim_worker::effect::{EffectKind, Equation};
 
@@ -174,7 +175,9 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
     let left_of = prove.energy(&prove.residual);
     let explained = prove.energy(&m.held_residual(retuned)) - left_of;
     let clear = CLEAR * left_of / prove.rows.len().max(1) as f64;
-    if explained < clear {
+    // what is within the noise has no form but that of a noise that stands in the regressors too
+    let noise = prove.rows.len() as f64 * prove.p.sensor_floor[Equation::Torque.index()].powi(2);
+    if explained < clear || left_of < BEYOND * noise {
         return None;
     }
     let find = Side::new(&m.fit, m, model, model.residual.clone(), &vec![1.0; m.fit.rows]);
@@ -193,7 +196,9 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
         (Regressor::Position, true),
         (Regressor::Drive, false),
     ];
-    let forms = laws.into_iter().filter_map(|(of, signed)| {
+    // the chatter of phases stands in their current and in what is left alike
+    let told = |of: Regressor| of != Regressor::Drive || !m.bench.has_phases();
+    let forms = laws.into_iter().filter(|l| told(l.0)).filter_map(|(of, signed)| {
         let taken = alone - left((&find, &own), &prove, model, Some(&Hats::new(&m.fit, of, signed)?))?;
         let share = taken / explained;
         (taken > clear && share > MOST).then_some((share, Strange::Form { of, signed, share }))

@@ -16,7 +16,7 @@ pub const CLEAN_SHARE: f64 = 0.85;
 /// Gap over the noise in the transmission beyond which a slow one is no spring and no play (assumed).
 const FAR: f64 = 3.5;
 /// Energy over that of the noise that cannot be the noise's, with nothing found (assumed).
-const BEYOND: f64 = 1.35;
+pub const BEYOND: f64 = 1.35;
 /// Time over which a torque or voltage that is missing keeps its sign at least (assumed) [s].
 pub const SLOW_S: f64 = 0.02;
 /// Energy over that of the noise of means over this time that is no noise, with nothing found (assumed); of two
