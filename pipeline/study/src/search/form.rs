@@ -115,6 +115,9 @@ impl<'a> Side<'a> {
     }
 }
 
+/// Judged columns of a model and of single runs on the fit runs, and their products.
+type Own = (Vec<Vec<f64>>, Vec<Vec<f64>>);
+
 /// Products of columns with each other and those before them, from column `first` on.
 fn products(columns: &[Vec<f64>], first: usize) -> Vec<Vec<f64>> {
     let of = |i: usize| columns[..=i].iter().map(|c| dot(&columns[i], c)).collect();
@@ -122,14 +125,7 @@ fn products(columns: &[Vec<f64>], first: usize) -> Vec<Vec<f64>> {
 }
 
 /// Energy that is left of the held-out rows with a form learnt on the fit runs, constants and amplitudes learnt once more beside it.
-///
-/// * `own` judged columns of model and single runs on the fit runs, and their products
-fn left(
-    (find, own): (&Side, &(Vec<Vec<f64>>, Vec<Vec<f64>>)),
-    prove: &Side,
-    model: &Fit,
-    form: Option<&Hats>,
-) -> Option<f64> {
+fn left((find, own): (&Side, &Own), prove: &Side, model: &Fit, form: Option<&Hats>) -> Option<f64> {
     let hats = |p: &Problem| form.map_or_else(Vec::new, |f| f.columns(p));
     let of_model = find.columns.len();
     let (mut columns, mut lower) = own.clone();
