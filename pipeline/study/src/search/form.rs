@@ -90,16 +90,13 @@ struct Side<'a> {
 }
 
 impl<'a> Side<'a> {
-    /// * `left` the rows of 0 are not judged
-    fn new(p: &'a Problem, m: &Material, model: &Fit, residual: Vec<f64>, left: &[f64]) -> Self {
+    /// * `judged` whether a row is
+    fn new(p: &'a Problem, m: &Material, model: &Fit, residual: Vec<f64>, judged: impl Fn(usize) -> bool) -> Self {
         let torque = p.blocks.iter().filter(|b| b.equation == Equation::Torque);
         let regressors = fit::regressors(p, &model.terms, &m.constants);
         let amplitudes = regressors.into_iter().flat_map(|r| r.linear);
         Self {
-            rows: torque
-                .flat_map(|b| b.rows.clone())
-                .filter(|r| left[*r] != 0.0)
-                .collect(),
+            rows: torque.flat_map(|b| b.rows.clone()).filter(|r| judged(*r)).collect(),
             columns: p.base.iter().cloned().chain(amplitudes).collect(),
             residual,
             p,
@@ -167,7 +164,9 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
         return Some(Strange::Composed);
     }
     let judged = m.judged_residual(model);
-    let prove = Side::new(m.held_problem(), m, model, m.held_residual(model), &judged);
+    let prove = Side::new(m.held_problem(), m, model, m.held_residual(model), |row| {
+        judged[row] != 0.0
+    });
     let left_of = prove.energy(&prove.residual);
     let explained = prove.energy(&m.held_residual(retuned)) - left_of;
     let clear = CLEAR * left_of / prove.rows.len().max(1) as f64;
@@ -176,7 +175,7 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
     if explained < clear || left_of < BEYOND * noise {
         return None;
     }
-    let find = Side::new(&m.fit, m, model, model.residual.clone(), &vec![1.0; m.fit.rows]);
+    let find = Side::new(&m.fit, m, model, model.residual.clone(), |_| true);
     let columns: Vec<Vec<f64>> = find
         .columns
         .iter()
