@@ -290,6 +290,53 @@ fn val_the_reference_folders_recordings_of_other_hands() {
 }
 
 #[test]
+fn val_a_unit_of_the_reference_folder_is_located_by_its_own_study() {
+    let Some(dir) = ema_tests::folder("EMA_REFERENCE_DIR") else {
+        return;
+    };
+    let unit = dir.join("other_hand/units/u0");
+    if !unit.exists() {
+        println!("skipped: no other_hand/units/u0 in EMA_REFERENCE_DIR");
+        return;
+    }
+    let key = std::fs::read_to_string(dir.join("other_hand/key.toml")).unwrap();
+    let key: toml::Table = key.parse().unwrap();
+    let units = key["unit"].as_array().unwrap();
+    let own = units.iter().find(|u| u["folder"].as_str() == Some("units/u0")).unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let path = |name: &str| out.path().join(name).to_str().unwrap().to_string();
+    let recorded = |name: String| unit.join(name).to_str().unwrap().to_string();
+    let (study, file) = (path("study"), path("u0.json"));
+    let done = |args: &[&str]| {
+        let o = run(args);
+        assert!(o.status.success(), "{args:?}: {o:?}");
+        o.stdout
+    };
+    let long = recorded("healthy_long.csv".into());
+    done(&["discrepancy", "--bench", &long, "--healthy", "--out", &study]);
+    done(&["unit", "new", &file, "--study", &study]);
+    let healthy = [0, 1, 2].map(|k| recorded(format!("healthy_{k}.csv")));
+    let mut args = vec!["unit", "update", &file, "--healthy"];
+    args.extend(healthy.iter().map(String::as_str));
+    done(&args);
+    for (k, truth) in own["faulty"].as_array().unwrap().iter().enumerate() {
+        let test = recorded(format!("faulty_{k}.csv"));
+        let d: serde_json::Value =
+            serde_json::from_slice(&done(&["diagnose", &test, "--unit", &file, "--json"])).unwrap();
+        assert_eq!(d["outcome"], "located", "{d:#}");
+        for (name, truth) in ["fsj", "zeta"].iter().zip(truth.as_array().unwrap()) {
+            let (truth, of) = (truth.as_float().unwrap(), |end: &str| d[name][end].as_f64().unwrap());
+            // the travel of the sine, a step and a half of the angle's sensor off, once put zeta outside
+            assert!(
+                of("lo") <= truth && truth <= of("hi"),
+                "test {k}: {name} {truth} in {:#}",
+                d[name]
+            );
+        }
+    }
+}
+
+#[test]
 fn val_the_circle_is_one_command_on_a_unit_of_another_hand() {
     let dir = tempfile::tempdir().unwrap();
     let unit = dir.path().join("unit");

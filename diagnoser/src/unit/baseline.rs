@@ -11,6 +11,11 @@ const SAMPLES_EACH: usize = 3;
 /// Share of a feature that tests do not resolve (assumed).
 const RESOLVED: f64 = 1e-5;
 
+/// Share of a feature to which a model is an actuator, at best (assumed): what is the same in all healthy tests of a unit may
+/// be off by as much and say nothing of its constants. A motor's travel of 1 rad, in steps of a sensor of 1e-4 rad, was 1.5 steps
+/// less in all tests of a unit of another hand's simulator: taken for an inductance 6 % too great, it put zeta 1 % too high.
+const EXACT: f64 = 2e-4;
+
 /// Features of healthy tests as a function of the unit's deviations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Baseline {
@@ -157,7 +162,7 @@ impl Baseline {
             }
             // nothing is measured better than this (assumed)
             let noise = self.noise[k].max(RESOLVED * value.abs());
-            let left = self.left[k].max(RESOLVED * value.abs());
+            let left = self.left[k].max(EXACT * value.abs());
             // tests that are alike in all, supply too, scatter less than those of the campaign: half of what is left is
             // the same in all of them, at least (assumed)
             let systematic = (left * left - noise * noise).max(0.5 * left * left).sqrt();
@@ -196,7 +201,8 @@ mod tests {
             (e.slopes[0] - (2.0 - 0.4)).abs() < 1e-5 && (e.slopes[4] - (-5.0 + 2.0)).abs() < 1e-4,
             "{e:?}"
         );
-        assert!(e.systematic < 1e-4);
+        // as exact as a model is, and no more
+        assert!((e.systematic / e.value - EXACT).abs() < 0.01 * EXACT, "{e:?}");
         // what differs from test to test is noise
         let mut b = b;
         let (sum, free) = b.about_units(&[

@@ -239,9 +239,9 @@ impl Constants {
         })
     }
 
-    /// Of every number.
+    /// Of every number, and of what is made of them: calibrations by an older one hold for other responses.
     pub fn fingerprint(&self) -> String {
-        let mut text = String::from("constants");
+        let mut text = String::from("constants 2");
         for (c, x) in self.causes.iter().zip(&self.mean) {
             text += &format!(";{},{}", c.key(), exact(*x));
         }

@@ -34,8 +34,10 @@ const CERTAIN: f64 = 4.0;
 /// The same where it takes nearly all of the gap, there, and the loop rests with it: what scatters is how much, not whether (assumed).
 const CERTAIN_AT_REST: f64 = 3.0;
 /// Gap over [`QUIET`] that no constants explain and no effect, from which something is missing (assumed: without anything missing up to 1.4
-/// was left).
+/// was left), and the same without the piece in which most is left: a loop that breaks away a moment sooner or later runs apart for
+/// that one (assumed: without anything missing up to 0.5 was left).
 const STRANGE: f64 = 2.0;
+const STRANGE_ELSEWHERE: f64 = 1.5;
 /// Voltage of the supply that counts as much as [`QUIET`] [V] (assumed).
 const QUIET_SUPPLY_V: f64 = 0.03;
 /// Speed of the gap, rms, up to which nothing is looked for (assumed: without anything missing 0.03 to 0.14 was left) [rad/s].
@@ -159,11 +161,12 @@ struct Belief {
 }
 
 /// Sizes of constants (logarithms of factors) and of an effect, its standard deviation, and the squared gap that is left on what
-/// proves.
+/// proves, and that of all of it but the piece in which most is left.
 struct Solved {
     x: DVector<f64>,
     sd: f64,
     left: f64,
+    elsewhere: f64,
 }
 
 /// A candidate, its value with the standard deviation, and the squared gap that is left on what proves.
@@ -233,12 +236,13 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Sh
             return Ok(Shown::Nothing);
         }
         turned += &now.x;
-        constants = Some(now.left);
+        constants = Some((now.left, now.elsewhere));
     }
-    let Some(constants) = constants else {
+    let Some((constants, elsewhere)) = constants else {
         return Ok(Shown::Nothing);
     };
-    let strange = constants.sqrt() > STRANGE * QUIET * MEAN_S;
+    let is_over = |left: f64, times: f64| left.sqrt() > times * QUIET * MEAN_S;
+    let strange = is_over(constants, STRANGE) && is_over(elsewhere, STRANGE_ELSEWHERE);
     let nameless = if strange {
         Shown::Stranger(constants.sqrt() / MEAN_S)
     } else {
@@ -480,13 +484,24 @@ fn solved(pieces: &[Piece], believed: &Belief, turned: &DVector<f64>, with: Opti
             .collect()
     });
     let sd = scatter(without.into_iter(), x[m - 1]);
-    let proves = || pieces.iter().filter(|p| p.proves);
-    let count: usize = proves().map(|p| p.gap.len()).sum();
-    let left = proves()
-        .map(|p| (0..p.gap.len()).map(|t| left_of(p, &x, t).powi(2)).sum::<f64>())
-        .sum::<f64>()
-        / count.max(1) as f64;
-    Some(Solved { x, sd, left })
+    let square = |p: &Piece| (0..p.gap.len()).map(|t| left_of(p, &x, t).powi(2)).sum::<f64>();
+    let mut proves: Vec<(f64, usize)> = pieces
+        .iter()
+        .filter(|p| p.proves)
+        .map(|p| (square(p), p.gap.len()))
+        .collect();
+    proves.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mean = |p: &[(f64, usize)]| {
+        let (square, count) = p.iter().fold((0.0, 0), |(s, n), p| (s + p.0, n + p.1));
+        square / count.max(1) as f64
+    };
+    let others = if proves.len() > 1 { &proves[1..] } else { &proves };
+    Some(Solved {
+        x,
+        sd,
+        left: mean(&proves),
+        elsewhere: mean(others),
+    })
 }
 
 /// Solution of normal equations whose constants stay within what is believed: where one would go beyond, it stands there.
@@ -511,6 +526,27 @@ fn within(gram: &DMatrix<f64>, right: &DVector<f64>, believed: &Belief, turned: 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_piece_that_runs_apart_is_not_the_whole() {
+        let n = knobs().len();
+        let piece = |proves: bool, gap: f64| Piece {
+            proves,
+            gap: vec![gap; 4],
+            slopes: vec![vec![0.0; 4]; n],
+        };
+        let believed = Belief {
+            sd: vec![1.0; n],
+            furthest: f64::INFINITY,
+        };
+        let finds = (0..3).map(|_| piece(false, 1.0));
+        let all: Vec<Piece> = finds.chain([0.5, 10.0, 0.5].map(|g| piece(true, g))).collect();
+        let s = solved(&all, &believed, &DVector::zeros(n), None).unwrap();
+        assert!((s.elsewhere - 0.25).abs() < 1e-12 && (s.left - 100.5 / 3.0).abs() < 1e-9);
+        // of a single one there is no elsewhere
+        let s = solved(&all[..4], &believed, &DVector::zeros(n), None).unwrap();
+        assert_eq!((s.left, s.elsewhere), (0.25, 0.25));
+    }
 
     #[test]
     fn a_strong_gap_turns_no_constant_beyond_belief_and_the_effect_takes_the_rest() {
