@@ -149,7 +149,7 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
 const BOUNCE: f64 = 0.3;
 
 /// The strongest current [A].
-fn strongest(runs: &[Signals]) -> f64 {
+pub fn strongest(runs: &[Signals]) -> f64 {
     runs.iter().flat_map(|r| &r.drive).fold(0.0, |a: f64, x| a.max(x.abs()))
 }
 

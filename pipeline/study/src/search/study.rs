@@ -1,6 +1,7 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
 use crate::candidates::columns::{self, Form};
+use crate::candidates::shapes;
 use crate::candidates::springs::BY_TORQUE;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
@@ -158,15 +159,44 @@ impl Material {
     /// A model whose springs were found by the torque, with these driven by the measured motion where that tells the data better: the
     /// motion is known better near a resonance, but its noise would have been taken for a spring where there is none.
     fn by_motion(&self, model: Fit) -> Fit {
-        let mut terms = model.terms.clone();
-        let springs = terms.iter_mut().filter(|t| t.kind == EffectKind::Compliance);
-        let found = springs.filter(|t| t.shape.get(3) == Some(&BY_TORQUE));
-        if found.map(|t| t.shape.truncate(3)).count() == 0 {
+        let driven = |t: &mut Term| {
+            let by_torque = t.kind == EffectKind::Compliance && t.shape.get(3) == Some(&BY_TORQUE);
+            if by_torque {
+                t.shape.truncate(3);
+            }
+            by_torque
+        };
+        self.if_better(model, driven)
+    }
+
+    /// A model whose torque saturates, with a flux that does where that tells the data better. A scan sees little of the difference:
+    /// constants turn with the loss of torque, and only where all are solved for again do weak currents say whether they lose any.
+    fn by_flux(&self, model: Fit) -> Fit {
+        let runs = &self.fit.signals;
+        if runs.iter().any(|s| s.phases.is_none()) {
             return model;
         }
-        let moved = self.polish(&self.solve(&terms, model.sigma), 2);
-        if penalised(self, &moved) > penalised(self, &model) {
-            moved
+        let saturated = |t: &mut Term| {
+            let by_torque = t.kind == EffectKind::TorqueSaturation && t.shape.is_empty();
+            if by_torque {
+                t.shape = vec![shapes::strongest(runs)];
+            }
+            by_torque
+        };
+        self.if_better(model, saturated)
+    }
+
+    /// A model with terms changed, and solved again, where that tells the data better.
+    ///
+    /// * `change` of a term; whether it is one that changes
+    fn if_better(&self, model: Fit, change: impl Fn(&mut Term) -> bool) -> Fit {
+        let mut terms = model.terms.clone();
+        if terms.iter_mut().map(change).filter(|changed| *changed).count() == 0 {
+            return model;
+        }
+        let changed = self.polish(&self.solve(&terms, model.sigma), 2);
+        if penalised(self, &changed) > penalised(self, &model) {
+            changed
         } else {
             model
         }
@@ -273,7 +303,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         if !accepted {
             break;
         }
-        model = m.by_motion(next);
+        model = m.by_flux(m.by_motion(next));
         for round in 0..2 {
             let terms;
             (m, terms) = m.carried(&model);
