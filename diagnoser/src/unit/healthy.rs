@@ -278,10 +278,15 @@ mod tests {
         assert!((mean - f).abs() < 1e-3 && (1e-3..1.6e-3).contains(&sd), "{mean} {sd}");
         let (mean, _) = one.constants.of(Cause::Resistance).unwrap();
         assert!((mean - r).abs() < 1e-3, "{mean}");
-        // four say it twice as well
+        // four say it twice as well, but for what a model is off by in all of them
         let four = prior().after_healthy(&[tests(&b, &[0.0; 4].map(test))], &[]);
         let of = |l: &Learnt| l.constants.of(Cause::HealthyFriction).unwrap().1;
-        assert!((of(&one) / of(&four) - 2.0).abs() < 0.05, "{} {}", of(&one), of(&four));
+        assert!(
+            (1.9..2.0).contains(&(of(&one) / of(&four))),
+            "{} {}",
+            of(&one),
+            of(&four)
+        );
         assert!(four.misfit < 2.0, "{}", four.misfit);
         assert!(prior().beyond(&[tests(&b, &[test(0.0)])], 3.0).is_empty());
         let off = test(0.0).with(Feature::P3, Some(2.5));
