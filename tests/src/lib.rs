@@ -51,6 +51,16 @@ pub fn folder(variable: &str) -> Option<PathBuf> {
     }
 }
 
+/// A folder or file within the folder of an environment variable, or `None` after saying that the test is skipped.
+pub fn folder_in(variable: &str, name: &str) -> Option<PathBuf> {
+    let inner = folder(variable)?.join(name);
+    if !inner.exists() {
+        println!("skipped: no {name} in {variable}");
+        return None;
+    }
+    Some(inner)
+}
+
 /// Programs under test in one folder by the names that users call them: `ema` looks for `ema-query` beside itself.
 ///
 /// * `dir` made if it is not there; on the file system of the programs, which are linked

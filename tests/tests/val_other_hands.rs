@@ -247,20 +247,18 @@ fn val_recordings_of_an_independent_program_get_their_names_and_no_others() {
     assert!(wrong.len() <= 1, "{wrong:#?}");
 }
 
+/// The reference folder's recordings of other hands, and their key.
+fn other_hand() -> Option<(PathBuf, toml::Table)> {
+    let dir = ema_tests::folder_in("EMA_REFERENCE_DIR", "other_hand")?;
+    let key = std::fs::read_to_string(dir.join("key.toml")).unwrap();
+    Some((dir, key.parse().unwrap()))
+}
+
 #[test]
 fn val_the_reference_folders_recordings_of_other_hands() {
-    let Some(dir) = ema_tests::folder("EMA_REFERENCE_DIR") else {
+    let Some((other, key)) = other_hand() else {
         return;
     };
-    let other = dir.join("other_hand");
-    if !other.exists() {
-        println!("skipped: no other_hand in EMA_REFERENCE_DIR");
-        return;
-    }
-    let key: toml::Table = std::fs::read_to_string(other.join("key.toml"))
-        .unwrap()
-        .parse()
-        .unwrap();
     let cases = |name: &str, file: &str| -> Vec<(PathBuf, String)> {
         let all = key[name].as_array().unwrap().iter();
         all.map(|c| {
@@ -291,16 +289,10 @@ fn val_the_reference_folders_recordings_of_other_hands() {
 
 #[test]
 fn val_a_unit_of_the_reference_folder_is_located_by_its_own_study() {
-    let Some(dir) = ema_tests::folder("EMA_REFERENCE_DIR") else {
+    let Some((other, key)) = other_hand() else {
         return;
     };
-    let unit = dir.join("other_hand/units/u0");
-    if !unit.exists() {
-        println!("skipped: no other_hand/units/u0 in EMA_REFERENCE_DIR");
-        return;
-    }
-    let key = std::fs::read_to_string(dir.join("other_hand/key.toml")).unwrap();
-    let key: toml::Table = key.parse().unwrap();
+    let unit = other.join("units/u0");
     let units = key["unit"].as_array().unwrap();
     let own = units.iter().find(|u| u["folder"].as_str() == Some("units/u0")).unwrap();
     let out = tempfile::tempdir().unwrap();

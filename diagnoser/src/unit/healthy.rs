@@ -281,9 +281,12 @@ mod tests {
         // four say it twice as well, but for what a model is off by in all of them
         let four = prior().after_healthy(&[tests(&b, &[0.0; 4].map(test))], &[]);
         let of = |l: &Learnt| l.constants.of(Cause::HealthyFriction).unwrap().1;
+        let e = &b.at(&Deviations::default())[0];
+        let left = |tests: f64| (e.noise * e.noise / tests + e.systematic * e.systematic).sqrt();
+        let better = left(1.0) / left(4.0);
         assert!(
-            (1.9..2.0).contains(&(of(&one) / of(&four))),
-            "{} {}",
+            (of(&one) / of(&four) - better).abs() < 0.05 && better > 1.9,
+            "{} {} {better}",
             of(&one),
             of(&four)
         );
