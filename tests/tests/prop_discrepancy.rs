@@ -15,7 +15,7 @@ use ema_study::search::study::{Outcome, study};
 use ema_study::told::findings::Findings;
 use ema_tests::blind::{self, Class, Forced, Setting, Spec};
 use pipeline::discrepancy::{Request, study_file, study_into};
-use sim_worker::effect::EffectKind;
+use sim_worker::effect::{Effect, EffectKind, Law};
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
 
@@ -143,13 +143,73 @@ fn swept(frequency_hz: f64, duration_s: f64) -> String {
 
 /// Records the reference actuator with FSJ 3 and zeta 0.3 under the segments of a sequence.
 fn worn(out: &Path, segments: &str, options: &[&str]) {
+    recorded(out, segments, &[&["--fsj", "3", "--zeta", "0.3"], options].concat());
+}
+
+/// Records an actuator under the segments of a sequence.
+fn recorded(out: &Path, segments: &str, options: &[&str]) {
     let sequence = out.with_extension("toml");
     std::fs::write(&sequence, format!("name = \"long\"\n{segments}")).unwrap();
-    let mut words = vec!["run", "--fsj", "3", "--zeta", "0.3", "--channels", "all", "--sequence"];
+    let mut words = vec!["run", "--channels", "all", "--sequence"];
     words.extend([sequence.to_str().unwrap(), "--out", out.to_str().unwrap()]);
     words.extend(options);
     let run = run(&words);
     assert!(run.status.success(), "{run:?}");
+}
+
+/// Bristles of an actuator of ours are told from the few reversals of one recording, and by their law.
+#[test]
+fn prop_bristles_break_away_at_the_static_friction_where_the_actuator_has_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut hidden = ActuatorParameters::reference();
+    let bristles = Effect::new(EffectKind::Presliding, &[2.02, 4.34e-3]).by(Law::BreakAway);
+    hidden.effects.push(bristles);
+    let (model, out) = (dir.path().join("hidden.toml"), dir.path().join("r.parquet"));
+    std::fs::write(&model, hidden.to_toml()).unwrap();
+    let segment = |amplitude: f64, frequency: f64, duration: f64| {
+        format!(
+            "[[segment]]\ncommand = \"multisine\"\namplitude_rad = {amplitude:?}\nfrequency_hz = {frequency:?}\n\
+             duration_s = {duration:?}\n"
+        )
+    };
+    let segments = [(0.0012, 3.0, 2.0), (0.02, 0.8, 2.0), (0.3, 0.25, 4.0)].map(|(a, f, t)| segment(a, f, t));
+    let options = [
+        "--fsj",
+        "1",
+        "--zeta",
+        "0",
+        "--sensors",
+        "reference",
+        "--rate",
+        "10000",
+        "--actuator",
+    ];
+    recorded(
+        &out,
+        &segments.concat(),
+        &[&options[..], &[model.to_str().unwrap()]].concat(),
+    );
+    let study = dir.path().join("study");
+    let words = [
+        "discrepancy",
+        "--bench",
+        out.to_str().unwrap(),
+        "--healthy",
+        "--json",
+        "--out",
+    ];
+    let said = run(&[&words[..], &[study.to_str().unwrap()]].concat());
+    let report: serde_json::Value = serde_json::from_slice(&said.stdout).unwrap();
+    let effects = report["effects"].as_array().unwrap();
+    assert_eq!(effects.len(), 1, "{report}");
+    assert_eq!(
+        (&effects[0]["name"], &effects[0]["breaks_away"]),
+        (&"presliding".into(), &"static".into())
+    );
+    let stiffness = effects[0]["parameters"]["stiffness"]["value"].as_f64().unwrap();
+    assert!((stiffness / 2.02 - 1.0).abs() < 0.15, "{stiffness}");
+    let written = std::fs::read_to_string(study.join("actuator.toml")).unwrap();
+    assert!(written.contains("breaks_away = \"static\""), "{written}");
 }
 
 #[test]

@@ -104,7 +104,7 @@ impl Injection {
                 EffectKind::TorqueRipple => all.ripple.push(e.clone()),
                 EffectKind::Eccentricity => all.eccentricity.push(e.clone()),
                 EffectKind::TorqueSaturation => all.saturation.push(e.clone()),
-                EffectKind::Presliding => all.bristles = Some(Dahl::new(a, b, all.constants.coulomb)),
+                EffectKind::Presliding => all.bristles = Some(e.bristles(&all.constants)),
                 EffectKind::Compliance => {
                     all.behind = Some(TwoMass::new(a, b, d.min(MOST_BEHIND * p.inertia_kg_m2), 0.0));
                 }

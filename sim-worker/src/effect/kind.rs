@@ -136,8 +136,9 @@ effects! {
     PeriodicFriction "periodic_friction" Torque ["amplitude" "N m" 0.0, INF; "phase" "rad" -TURN, TURN; "order" "1/turn" 1e-9, 1000.0]
     /// `T exp(-((theta - c)/s)^2) sgn w`.
     TightSpot "tight_spot" Torque ["torque" "N m" 0.0, INF; "centre" "rad" -INF, INF; "width" "rad" 1e-9, INF]
-    /// Dahl friction (1968) in place of Coulomb's, with a damping of the bristles (LuGre, Canudas de Wit 1995).
-    Presliding "presliding" Torque ["stiffness" "N m/rad" 1e-9, INF; "damping" "N m s/rad" 0.0, INF]
+    /// Dahl friction (1968) in place of Coulomb's, with a damping of the bristles (LuGre, Canudas de Wit 1995), and
+    /// a break-away of its own or none.
+    Presliding "presliding" Torque ["stiffness" "N m/rad" 1e-9, INF; "damping" "N m s/rad" 0.0, INF] => BREAKS_AWAY
     /// `A cos(n theta + phi)`.
     Cogging "cogging" Torque ["amplitude" "N m" 0.0, INF; "phase" "rad" -TURN, TURN; "order" "1/turn" 1e-9, 1000.0]
     /// `kt (1 + z cos(n theta + phi))`, in torque and back-EMF.

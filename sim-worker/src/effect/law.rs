@@ -28,6 +28,10 @@ pub enum Law {
     /// (energy; the armature's field stands across the magnets', and iron follows what both add up to: assumed). By the first law the
     /// torque alone falls, by `coefficient |i|`
     Flux,
+    /// of `presliding`: the bristles break away at the actuator's static friction, and slide at it up to about 2 rad/s (LuGre: Canudas
+    /// de Wit, Olsson, Astrom and Lischinsky, IEEE Trans. Automatic Control 40 (1995); the speed assumed). By the first law they slide
+    /// at the dynamic friction
+    BreakAway,
 }
 
 /// The key that says the law of an effect.
@@ -78,9 +82,15 @@ pub(super) const SATURATES: LawKey = LawKey {
     laws: &[("torque", Law::First), ("flux", Law::Flux)],
 };
 
+pub(super) const BREAKS_AWAY: LawKey = LawKey {
+    name: "breaks_away",
+    elsewhere: "it is in no bristles",
+    laws: &[("dynamic", Law::First), ("static", Law::BreakAway)],
+};
+
 impl LawKey {
     /// All keys.
-    pub const ALL: [&'static Self; 5] = [&SENSOR, &DRAW, &READS, &TURNS, &SATURATES];
+    pub const ALL: [&'static Self; 6] = [&SENSOR, &DRAW, &READS, &TURNS, &SATURATES, &BREAKS_AWAY];
 
     /// The law of a name.
     pub fn law(&self, name: &str) -> Option<Law> {

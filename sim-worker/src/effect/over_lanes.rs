@@ -525,7 +525,7 @@ impl<const N: usize> LaneEffects<N> {
         let newton_metre = self.newton_metre[l];
         let (omega, friction, mut torque) = (turn * self.rad_per_s[l], self.sum.friction[l], self.sum.torque[l]);
         if let Some(b) = &mut e.bristles {
-            b.level = (fd / newton_metre + friction).max(0.0);
+            b.slide_at(fd / newton_metre, friction, omega);
             torque += b.step(omega, self.dt);
         }
         if let Some(b) = &e.behind {

@@ -1,7 +1,13 @@
 //! Effects with a state of their own: the same small machines stand in the test bench, in the
 //! simplified model and, driven by a measured motion, in the discrepancy study.
 
+use super::{Constants, Effect, Law};
+use crate::exponential::exp;
 use crate::plant::backlash;
+
+/// Speed below which bristles that break away at the static friction slide at it, too [rad/s] (assumed; that of LuGre's
+/// `exp(-(w/speed)^2)`).
+pub const BREAK_AWAY_RAD_S: f64 = 2.0;
 
 /// Friction of bristles that bend before they slide: Dahl, A solid friction model, Aerospace
 /// Corporation TOR-0158 (1968), exponent 1, with the damping of Canudas de Wit, Olsson, Astrom and
@@ -21,6 +27,8 @@ pub struct Dahl {
     pub level: f64,
     /// bend of the bristles [rad]
     pub z: f64,
+    /// static over dynamic friction; 1 where they slide at the dynamic one at every speed
+    pub break_away: f64,
 }
 
 impl Dahl {
@@ -31,7 +39,22 @@ impl Dahl {
             damping,
             level,
             z: 0.0,
+            break_away: 1.0,
         }
+    }
+
+    /// Dynamic friction that bristles slide at, over that of fast motion, at the speed `omega` [rad/s].
+    pub fn rise(break_away: f64, omega: f64) -> f64 {
+        if break_away == 1.0 {
+            return 1.0;
+        }
+        let of_speed = omega / BREAK_AWAY_RAD_S;
+        1.0 + (break_away - 1.0) * exp(-(of_speed * of_speed))
+    }
+
+    /// Another level: of the dynamic friction and of what effects add to it [N m], at the speed `omega` [rad/s].
+    pub fn slide_at(&mut self, dynamic: f64, further: f64, omega: f64) {
+        self.level = (dynamic * Self::rise(self.break_away, omega) + further).max(0.0);
     }
 
     /// The bend within what the present level allows.
@@ -65,6 +88,16 @@ impl Dahl {
         }
         let left = 1.0 - z * self.stiffness / self.level.copysign(direction);
         (self.stiffness * z, (self.stiffness * dt + self.damping) * left)
+    }
+}
+
+impl Effect {
+    /// Bristles of `presliding`, not bent, on the dry friction of an actuator.
+    pub fn bristles(&self, c: &Constants) -> Dahl {
+        Dahl {
+            break_away: if self.law == Law::BreakAway { c.break_away } else { 1.0 },
+            ..Dahl::new(self.values[0], self.values[1], c.coulomb)
+        }
     }
 }
 

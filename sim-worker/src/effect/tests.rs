@@ -190,6 +190,25 @@ fn prop_short_turns_say_what_has_become_of_them_and_nothing_else_does() {
 }
 
 #[test]
+fn prop_bristles_say_what_they_break_away_at_and_nothing_else_does() {
+    let first = visible(EffectKind::Presliding);
+    let static_too = first.clone().by(Law::BreakAway);
+    assert!(
+        !first.to_toml().contains("breaks_away"),
+        "files of before stay as they are"
+    );
+    assert!(static_too.to_toml().contains("breaks_away = \"static\""));
+    for (of, wrong, allowed) in [
+        (&first, "never", "dynamic or static"),
+        (&visible(EffectKind::DeadTime), "static", "in no bristles"),
+    ] {
+        let text = format!("{}breaks_away = \"{wrong}\"\n", of.to_toml());
+        let e = parse(&text).unwrap_err().to_string();
+        assert!(e.contains(allowed) && e.contains(wrong) && !e.contains('\n'), "{e}");
+    }
+}
+
+#[test]
 fn prop_every_kind_reads_back_as_it_was_written() {
     for mut e in every() {
         let kind = e.kind;

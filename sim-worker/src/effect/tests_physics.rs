@@ -7,7 +7,7 @@ use crate::parameters::ActuatorParameters;
 use crate::test_bench::{Lane, NumericalTestBench};
 use schemas::channel::{Channel, ChannelSet};
 use schemas::fault::FaultState;
-use std::f64::consts::TAU;
+use std::f64::consts::{E, TAU};
 use std::sync::Arc;
 
 const DT: f64 = 1e-6;
@@ -337,15 +337,18 @@ fn prop_effects_with_a_state_are_their_machines_driven_by_the_recorded_motion() 
     let play = 2.0 * reference.backlash_half_width_rad * n;
 
     // bristles in place of dry friction
-    let e = visible(EffectKind::Presliding);
-    let p = with(std::slice::from_ref(&e));
-    let r = record(&p, &com);
-    let mut bristles = Dahl::new(e.values[0], e.values[1], c.coulomb);
-    bristles.step(0.0, DT);
-    for k in 1..com.len() {
-        let friction = bristles.step(r.omega[k - 1], DT);
-        if let Some(gap) = torque_gap(&p, &r, k, 0.0) {
-            assert!((gap - friction).abs() < 1e-9, "{k}: {gap} {friction}");
+    for law in [Law::First, Law::BreakAway] {
+        let e = visible(EffectKind::Presliding).by(law);
+        let p = with(std::slice::from_ref(&e));
+        let r = record(&p, &com);
+        let mut bristles = e.bristles(&c);
+        bristles.step(0.0, DT);
+        for k in 1..com.len() {
+            bristles.slide_at(c.coulomb, 0.0, r.omega[k - 1]);
+            let friction = bristles.step(r.omega[k - 1], DT);
+            if let Some(gap) = torque_gap(&p, &r, k, 0.0) {
+                assert!((gap - friction).abs() < 1e-9, "{law:?} {k}: {gap} {friction}");
+            }
         }
     }
 
@@ -436,6 +439,15 @@ fn prop_machines_keep_to_their_laws() {
         ..Dahl::new(0.05, 1e-3, 0.02)
     };
     assert!((soft.step(30.0, 1e-9) - (-0.02 + 1e-3 * 60.0)).abs() < 1e-8);
+    // at rest they hold the static friction, in fast motion the dynamic one; by the first law this one always
+    let c = Constants::of(&ActuatorParameters::reference(), 2.0);
+    for (law, still) in [(Law::First, 0.042), (Law::BreakAway, 0.06)] {
+        let mut b = visible(EffectKind::Presliding).by(law).bristles(&c);
+        for (omega, level) in [(0.0, still), (2.0, 0.042 + (still - 0.042) / E), (30.0, 0.042)] {
+            b.slide_at(c.coulomb, 0.001, omega);
+            assert!((b.level - 0.001 - level).abs() < 1e-12, "{law:?} {omega}: {}", b.level);
+        }
+    }
     // a spring without damper keeps its energy for any step, and what the shaft gives is what the mass gains
     for dt in [1e-6, 1e-4, 3e-3] {
         let mut m = TwoMass::new(50.0, 0.0, 1e-5, 0.01);

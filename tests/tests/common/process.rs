@@ -66,6 +66,17 @@ pub fn json(args: &[&str]) -> Value {
     serde_json::from_str(&ok(args)).unwrap()
 }
 
+/// JSON of a diagnosis, which may be incomplete.
+pub fn diagnosed(args: &[&str]) -> Value {
+    let o = run(args);
+    assert!(
+        matches!(o.status.code(), Some(0 | 3)),
+        "{args:?}: {}",
+        String::from_utf8_lossy(&o.stderr)
+    );
+    serde_json::from_slice(&o.stdout).unwrap()
+}
+
 /// Runs, expects a refusal with exit code 4 in one line that holds all of `words`.
 pub fn refused(args: &[&str], words: &[&str]) {
     let o = run(args);

@@ -262,10 +262,8 @@ fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
     const LIN: Option<bool> = Some(false);
     match kind {
         EffectKind::Stribeck => &[LOG, LIN],
-        EffectKind::LubricatedRise
-        | EffectKind::Presliding
-        | EffectKind::ControlDelay
-        | EffectKind::TorqueSaturation => &[LOG],
+        EffectKind::LubricatedRise | EffectKind::ControlDelay | EffectKind::TorqueSaturation => &[LOG],
+        EffectKind::Presliding => &[LOG, None],
         EffectKind::Backlash => &[LOG, LOG, LIN, LIN],
         EffectKind::TightSpot => &[LIN, LOG],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
@@ -291,7 +289,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
             (low - 0.05 * stroke, high + 0.05 * stroke),
             (0.004 * stroke, 0.5 * stroke),
         ],
-        EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke)],
+        EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke), (0.0, 1.0)],
         EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1e-3, 1e7), (0.0, 1e9), (0.0, 0.8)],
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],

@@ -69,6 +69,7 @@ pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
         effect: Constants {
             torque_constant: rig.drive_constant.value,
             coulomb: rig.coulomb.value,
+            break_away: rig.break_away,
             viscous: rig.viscous.value,
             resistance: rig.resistance.value,
             inductance: rig.inductance.value,

@@ -198,6 +198,8 @@ pub struct Rig {
     pub one_constant: Option<(f64, f64)>,
     pub gear_ratio: f64,
     pub pole_pairs: f64,
+    /// static over dynamic friction of an actuator of ours; 1 without one
+    pub break_away: f64,
     /// step of the test bench whose constants are looked for [s]; 0 without one
     pub step_s: f64,
     pub supply_voltage: f64,

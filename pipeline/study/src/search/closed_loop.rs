@@ -109,15 +109,17 @@ impl Machine {
     fn faster(&self, s: &effect::Signals, bristles: Option<&mut Dahl>, h: f64) -> f64 {
         let c = &self.constants;
         let more: f64 = self.effects.iter().map(|e| e.friction(s, c)).sum();
-        let level = (self.coulomb + more).max(0.0);
         // the sign of motion is 0 here: without it there is no dry friction in an effect's torque
         let against: f64 = self.effects.iter().map(|e| e.torque(s, c)).sum();
         let push = self.torque_constant * s.current - self.offset - s.load - against;
         let (free, stiff) = (self.inertia * s.omega + h * push, self.inertia + h * self.viscous);
         let Some(b) = bristles else {
-            return (free.abs() - h * level).max(0.0).copysign(free) / stiff;
+            return (free.abs() - h * (self.coulomb + more).max(0.0))
+                .max(0.0)
+                .copysign(free)
+                / stiff;
         };
-        b.level = level;
+        b.slide_at(self.coulomb, more, s.omega);
         let (still, slope) = b.linear(free - h * b.stiffness * b.z, h);
         let omega = (free - h * still) / (stiff + h * slope);
         b.step(omega, h);
@@ -194,7 +196,7 @@ impl<'a> Loop<'a> {
         let (mut theta, mut omega) = (s.position[from], s.omega[from]);
         let mut bristles = machine.get(EffectKind::Presliding).map(|e| Dahl {
             z: (machine.coulomb / e.values[0]).copysign(omega),
-            ..Dahl::new(e.values[0], e.values[1], 0.0)
+            ..e.bristles(&machine.constants)
         });
         let (mut sum, mut output) = (None, 0.0);
         let passes = |m: LowPass| Passes::new(omega, std::f64::consts::TAU * m.corner_hz * h, m.order);

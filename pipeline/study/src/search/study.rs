@@ -186,6 +186,22 @@ impl Material {
         self.if_better(model, saturated)
     }
 
+    /// A model whose bristles slide at the dynamic friction, with those that break away at the actuator's static one where that tells
+    /// the data better.
+    fn by_break_away(&self, model: Fit) -> Fit {
+        if self.bench.rig.break_away <= 1.0 {
+            return model;
+        }
+        let static_too = |t: &mut Term| {
+            let dynamic = t.kind == EffectKind::Presliding && t.shape.len() == 1;
+            if dynamic {
+                t.shape.push(1.0);
+            }
+            dynamic
+        };
+        self.if_better(model, static_too)
+    }
+
     /// A model with terms changed, and solved again, where that tells the data better.
     ///
     /// * `change` of a term; whether it is one that changes
@@ -303,7 +319,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         if !accepted {
             break;
         }
-        model = m.by_flux(m.by_motion(next));
+        model = m.by_break_away(m.by_flux(m.by_motion(next)));
         for round in 0..2 {
             let terms;
             (m, terms) = m.carried(&model);
@@ -537,16 +553,15 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
     // none where the gains are beyond all numbers
     let gain = tried.first()?.1;
     let kind_of = |f: &Fit| f.terms.last().expect("one was added").kind;
-    let before = m.crossed(model);
     let clean = (0..5).all(|e| tried[0].0.score.energy[e] <= WORTH * m.fit.sensor_energy(e));
     let behind = RIVAL + if clean { 0.0 } else { RIVAL_SHARE * gain };
     let mut out: Option<Step> = None;
     for (i, (next, gain)) in tried.iter().enumerate() {
-        let step = judged(m, model, next, *gain, &ranked, &before);
+        let step = judged(m, model, next, *gain, &ranked);
         if step.accepted {
             let rivals = tried[i + 1..]
                 .iter()
-                .filter(|t| gain - t.1 < behind && judged(m, model, &t.0, t.1, &ranked, &before).accepted)
+                .filter(|t| gain - t.1 < behind && judged(m, model, &t.0, t.1, &ranked).accepted)
                 .map(|t| kind_of(&t.0))
                 .collect();
             return Some((step, next.clone(), rivals));
@@ -580,7 +595,7 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
         }
         pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
         for (pair, gain) in pairs {
-            let step = judged(m, model, &pair, gain, &ranked, &before);
+            let step = judged(m, model, &pair, gain, &ranked);
             if step.accepted {
                 return Some((step, pair, Vec::new()));
             }

@@ -270,6 +270,9 @@ impl FoundEffect {
             Law::AngleAndSpeed => {
                 "in the measured speed too, which is of the same sensor, and the speed loop acts on it"
             }
+            Law::BreakAway => {
+                "the bristles break away at the static friction and slide at it up to about 2 rad/s (assumed)"
+            }
             Law::Flux => "the flux saturates, and the back-EMF falls with the torque",
             Law::Bridged => {
                 "a contact bridges the turns, whose own current brakes; the fraction is that of a contact without resistance: with one \

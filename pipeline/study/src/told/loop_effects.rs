@@ -232,7 +232,7 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Sh
         let Some(now) = solved(&pieces, &believed, &turned, None) else {
             return Ok(Shown::Nothing);
         };
-        if now.left.sqrt() < QUIET * MEAN_S {
+        if quiets(now.left) < 1.0 {
             return Ok(Shown::Nothing);
         }
         turned += &now.x;
@@ -241,8 +241,7 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Sh
     let Some((constants, elsewhere)) = constants else {
         return Ok(Shown::Nothing);
     };
-    let is_over = |left: f64, times: f64| left.sqrt() > times * QUIET * MEAN_S;
-    let strange = is_over(constants, STRANGE) && is_over(elsewhere, STRANGE_ELSEWHERE);
+    let strange = quiets(constants) > STRANGE && quiets(elsewhere) > STRANGE_ELSEWHERE;
     let nameless = if strange {
         Shown::Stranger(constants.sqrt() / MEAN_S)
     } else {
@@ -284,7 +283,7 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Sh
     };
     // what leaves more than would be strange by itself, and not nearly nothing of a great gap, is the nearest relative of something else
     let nearly_all = |left: f64| left < (1.0 - NEARLY_ALL) * constants;
-    let rests = |left: f64| left.sqrt() < 2.0 * STRANGE * QUIET * MEAN_S || nearly_all(left);
+    let rests = |left: f64| quiets(left) < 2.0 * STRANGE || nearly_all(left);
     for _ in 0..FOLLOWED_ON {
         if rests(best.left) || best.candidate.effect.kind == EffectKind::Compliance {
             break;
@@ -299,7 +298,7 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Sh
     let kind = effect.kind;
     let apart = kinds.next().is_none_or(|rival| rival.left > APART * left);
     let takes = left < (1.0 - LEAST_SHARE) * constants;
-    let settles = left.sqrt() < QUIET * MEAN_S;
+    let settles = quiets(left) < 1.0;
     let is_certain = best.value.abs()
         > if settles && nearly_all(left) {
             CERTAIN_AT_REST
@@ -324,6 +323,11 @@ pub fn scan(bench: &Bench, child: &ActuatorParameters, told: &Told) -> Result<Sh
     beside.law = effect.law;
     beside.second = (kind == EffectKind::TurnShort).then_some(effect.values[1]);
     Ok(Shown::Effect(OfMotion { beside, settles }))
+}
+
+/// Gap in units of [`QUIET`], from the squared gap as [`solved`] leaves it.
+fn quiets(left: f64) -> f64 {
+    left.sqrt() / (QUIET * MEAN_S)
 }
 
 /// A candidate after some rounds about what it found.

@@ -261,6 +261,9 @@ fn term_text(kind: EffectKind, law: Law) -> &'static str {
         EffectKind::TemperatureDependentFriction => "coefficient (T - 20 degC) (friction)",
         EffectKind::PeriodicFriction => "amplitude cos(order theta + phase) sgn w",
         EffectKind::TightSpot => "torque exp(-((theta - centre)/width)^2) sgn w",
+        EffectKind::Presliding if law == Law::BreakAway => {
+            "LuGre friction of this stiffness and damping in place of dry friction"
+        }
         EffectKind::Presliding => "Dahl friction of this stiffness and damping in place of dry friction",
         EffectKind::Cogging => "amplitude cos(order theta + phase)",
         EffectKind::TorqueRipple => "kt, ke (1 + fraction cos(order theta + phase))",
