@@ -49,7 +49,12 @@ impl Dahl {
             return 1.0;
         }
         let of_speed = omega / BREAK_AWAY_RAD_S;
-        1.0 + (break_away - 1.0) * exp(-(of_speed * of_speed))
+        let square = of_speed * of_speed;
+        // exp(-40) is nothing beside 1
+        if square > 40.0 {
+            return 1.0;
+        }
+        1.0 + (break_away - 1.0) * exp(-square)
     }
 
     /// Another level: of the dynamic friction and of what effects add to it [N m], at the speed `omega` [rad/s].
