@@ -502,19 +502,27 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
     }
 }
 
+/// Bristles that break away at the static friction.
+fn breaks_away(t: &Term) -> bool {
+    t.kind == EffectKind::Presliding && t.shape.len() > 1
+}
+
 /// The last term whose amplitude's interval reaches nothing.
 fn vague(m: &Material, model: &Fit) -> Option<usize> {
     if model.terms.is_empty() {
         return None;
     }
     let all = intervals::intervals(m, model);
+    let breaks_away = model.terms.iter().any(breaks_away);
     (0..model.terms.len()).rev().find(|&t| {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
         // all constants together stand for a gain: their beliefs decide, where no load is measured
         let gain = model.terms[t].is_gain_of_all();
         let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
-        let needed = || !gain && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
+        // bristles that break away at the static friction have what slow motion has more of it, up to a speed that is assumed
+        let same = e.kind == EffectKind::Stribeck && breaks_away;
+        let needed = || !gain && !same && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
         let size = e.values[0].abs();
         let mut half = all.terms[t][0] / size;
         if half > most {
