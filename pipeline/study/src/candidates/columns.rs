@@ -322,7 +322,8 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
                 .iter()
                 .zip(&s.sign)
                 .map(|(z, sign)| c.effect.coulomb * (z - sign));
-            out.linear.push(vec![Piece::of(Equation::Torque, 0, signal.collect())]);
+            // all of the dry friction is theirs: a share of it left free stands for another way of turning round
+            out.fixed.push(Piece::of(Equation::Torque, 0, signal.collect()));
             // damping of the bristles, whose deflection is `distance` at most
             out.linear.push(vec![Piece::of(
                 Equation::Torque,
@@ -469,7 +470,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
         Form::Periodic if kind == EffectKind::EncoderEccentricity => vec![a(0).hypot(a(1)), a(1).atan2(a(0))],
         Form::Periodic => [&[a(0).hypot(a(1)), (-a(1)).atan2(a(0))], shape].concat(),
         Form::Shape => shape[..kind.keys().len()].to_vec(),
-        Form::Presliding => vec![a(0) * coulomb / shape[0], a(1).max(0.0)],
+        Form::Presliding => vec![coulomb / shape[0], a(0).max(0.0)],
         Form::Heating if shape.first().is_some_and(|s| *s > 0.5) => vec![a(0)],
         Form::Heating => vec![a(0) * hottest],
     };
@@ -504,7 +505,7 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Presliding => {
             let static_too = (e.law == Law::BreakAway).then_some(1.0);
             let distance = coulomb / v[0];
-            (std::iter::once(distance).chain(static_too).collect(), vec![1.0, v[1]])
+            (std::iter::once(distance).chain(static_too).collect(), vec![v[1]])
         }
         Form::Heating if hottest <= 0.0 => (vec![1.0], vec![v[0]]),
         Form::Heating => (vec![0.0], vec![v[0] / hottest.max(1e-9)]),

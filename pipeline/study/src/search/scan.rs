@@ -414,8 +414,7 @@ pub fn admissible(kind: EffectKind, amplitudes: &[f64]) -> bool {
             let key = &kind.keys()[0];
             amplitudes[0] >= key.low.min(0.0) && amplitudes[0] <= key.high.max(0.0) && amplitudes[0] != 0.0
         }
-        // a little negative damping is noise
-        Form::Presliding | Form::Heating => amplitudes[0] > 0.0,
+        Form::Heating => amplitudes[0] > 0.0,
         _ => true,
     }
 }
