@@ -480,6 +480,15 @@ impl ActuatorParameters {
         2.0 * self.back_emf_v_s_per_rad
     }
 
+    /// Static over dynamic dry friction; 1 where there is no dynamic one, which nothing can be a multiple of.
+    pub fn break_away_ratio(&self) -> f64 {
+        if self.dynamic_friction_ratio > 0.0 {
+            1.0 / self.dynamic_friction_ratio
+        } else {
+            1.0
+        }
+    }
+
     /// By which the drive divides its torque demand [N m/A].
     pub fn drive_constant(&self) -> f64 {
         if self.drive_constant_n_m_per_a > 0.0 {

@@ -15,7 +15,7 @@ use ema_study::search::study::{Outcome, study};
 use ema_study::told::findings::Findings;
 use ema_tests::blind::{self, Class, Forced, Setting, Spec};
 use pipeline::discrepancy::{Request, study_file, study_into};
-use sim_worker::effect::{Effect, EffectKind, Law};
+use sim_worker::effect::EffectKind;
 use sim_worker::parameters::ActuatorParameters;
 use std::path::{Path, PathBuf};
 
@@ -131,124 +131,6 @@ fn prop_with_the_written_model_a_fresh_study_says_none() {
     }
     let html = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(html.contains("stribeck") && html.contains("<svg"));
-}
-
-/// A multisine of 0.2 rad as the segment of a sequence.
-fn swept(frequency_hz: f64, duration_s: f64) -> String {
-    format!(
-        "[[segment]]\ncommand = \"multisine\"\namplitude_rad = 0.2\nfrequency_hz = {frequency_hz:?}\n\
-         duration_s = {duration_s:?}\n"
-    )
-}
-
-/// Records the reference actuator with FSJ 3 and zeta 0.3 under the segments of a sequence.
-fn worn(out: &Path, segments: &str, options: &[&str]) {
-    recorded(out, segments, &[&["--fsj", "3", "--zeta", "0.3"], options].concat());
-}
-
-/// Records an actuator under the segments of a sequence.
-fn recorded(out: &Path, segments: &str, options: &[&str]) {
-    let sequence = out.with_extension("toml");
-    std::fs::write(&sequence, format!("name = \"long\"\n{segments}")).unwrap();
-    let mut words = vec!["run", "--channels", "all", "--sequence"];
-    words.extend([sequence.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-    words.extend(options);
-    let run = run(&words);
-    assert!(run.status.success(), "{run:?}");
-}
-
-/// Bristles of an actuator of ours are told from the few reversals of one recording, and by their law.
-#[test]
-fn prop_bristles_break_away_at_the_static_friction_where_the_actuator_has_them() {
-    let dir = tempfile::tempdir().unwrap();
-    let mut hidden = ActuatorParameters::reference();
-    let bristles = Effect::new(EffectKind::Presliding, &[2.02, 4.34e-3]).by(Law::BreakAway);
-    hidden.effects.push(bristles);
-    let (model, out) = (dir.path().join("hidden.toml"), dir.path().join("r.parquet"));
-    std::fs::write(&model, hidden.to_toml()).unwrap();
-    let segment = |amplitude: f64, frequency: f64, duration: f64| {
-        format!(
-            "[[segment]]\ncommand = \"multisine\"\namplitude_rad = {amplitude:?}\nfrequency_hz = {frequency:?}\n\
-             duration_s = {duration:?}\n"
-        )
-    };
-    let segments = [(0.0012, 3.0, 2.0), (0.02, 0.8, 2.0), (0.3, 0.25, 4.0)].map(|(a, f, t)| segment(a, f, t));
-    let options = [
-        "--fsj",
-        "1",
-        "--zeta",
-        "0",
-        "--sensors",
-        "reference",
-        "--rate",
-        "10000",
-        "--actuator",
-    ];
-    recorded(
-        &out,
-        &segments.concat(),
-        &[&options[..], &[model.to_str().unwrap()]].concat(),
-    );
-    let study = dir.path().join("study");
-    let words = [
-        "discrepancy",
-        "--bench",
-        out.to_str().unwrap(),
-        "--healthy",
-        "--json",
-        "--out",
-    ];
-    let said = run(&[&words[..], &[study.to_str().unwrap()]].concat());
-    let report: serde_json::Value = serde_json::from_slice(&said.stdout).unwrap();
-    let effects = report["effects"].as_array().unwrap();
-    assert_eq!(effects.len(), 1, "{report}");
-    assert_eq!(
-        (&effects[0]["name"], &effects[0]["breaks_away"]),
-        (&"presliding".into(), &"static".into())
-    );
-    let stiffness = effects[0]["parameters"]["stiffness"]["value"].as_f64().unwrap();
-    assert!((stiffness / 2.02 - 1.0).abs() < 0.15, "{stiffness}");
-    let written = std::fs::read_to_string(study.join("actuator.toml")).unwrap();
-    assert!(written.contains("breaks_away = \"static\""), "{written}");
-}
-
-#[test]
-fn prop_faults_of_the_test_bench_come_out_as_what_they_are() {
-    let dir = tempfile::tempdir().unwrap();
-    let step = |h: f64| format!("[[segment]]\ncommand = \"step\"\nheight_rad = {h:?}\nduration_s = 1.0\n");
-    for (name, f, h) in [("a.parquet", 0.4, 0.4), ("b.parquet", 0.55, -0.3)] {
-        let text = format!("{}{}", swept(f, 6.0), step(h));
-        worn(&dir.path().join(name), &text, &["--rate", "1000"]);
-    }
-    let bench = dir.path().join("BENCH.toml");
-    let text = r#"[rig]
-kind = "rotary"
-drive = "current"
-drive_constant = { value = 0.0752, unit = "N m/A", trust = 0.02 }
-inertia = { value = 2.5e-5, unit = "kg m2", trust = 0.10 }
-viscous = { value = 3e-5, unit = "N m s/rad", trust = 0.3 }
-coulomb = { value = 0.021, unit = "N m", trust = 0.3 }
-[channels]
-time = { column = "t", unit = "s" }
-position = { column = "theta_m", unit = "rad" }
-velocity = { column = "omega_m", unit = "rad/s" }
-i_a = { column = "i_a", unit = "A" }
-i_b = { column = "i_b", unit = "A" }
-i_c = { column = "i_c", unit = "A" }
-[[run]]
-file = "a.parquet"
-role = "fit"
-[[run]]
-file = "b.parquet"
-role = "heldout"
-"#;
-    std::fs::write(&bench, text).unwrap();
-    let f = found(&bench);
-    let coulomb = f.retuned.iter().find(|r| r.name == "coulomb").unwrap();
-    let factor = coulomb.value / coulomb.nominal.unwrap();
-    assert!((factor - 3.0).abs() < 0.1, "{factor}");
-    let e = f.effects.iter().find(|e| e.name == "eccentricity").expect(&f.sentence);
-    assert!((e.parameters[0].value - 0.3).abs() < 0.015, "{e:?}");
 }
 
 #[test]
@@ -685,31 +567,4 @@ fn prop_what_is_not_simulated_is_said() {
         said.contains("not simulated") && said.contains("no channel `command`"),
         "{said}"
     );
-}
-
-#[test]
-fn prop_a_unit_of_unknown_health_is_told_in_fault_terms_and_never_becomes_the_type() {
-    let dir = tempfile::tempdir().unwrap();
-    let csv = dir.path().join("unit.csv");
-    worn(&csv, &swept(0.45, 7.0), &["--rate", "2000", "--sensors", "reference"]);
-    let csv = csv.to_str().unwrap();
-    let out = dir.path().join("study");
-    let studied = run(&["discrepancy", "--bench", csv, "--out", out.to_str().unwrap(), "--json"]);
-    assert!(studied.status.success(), "{studied:?}");
-    let f: serde_json::Value = serde_json::from_slice(&studied.stdout).unwrap();
-    assert_eq!(f["health"], "unknown");
-    assert!(!out.join("actuator.toml").exists(), "a fault was written into the type");
-    let of = |name: &str| {
-        let all = f["findings"].as_array().unwrap();
-        all.iter()
-            .find(|x| x["name"] == name)
-            .unwrap_or_else(|| panic!("{name}: {f:#}"))["value"]
-            .as_f64()
-            .unwrap()
-    };
-    assert!((of("fsj") - 3.0).abs() < 0.1, "{}", of("fsj"));
-    assert!((of("zeta") - 0.3).abs() < 0.01, "{}", of("zeta"));
-    // what it says is next does not end in health
-    let next = f["next_command"].as_str().unwrap();
-    assert!(next.starts_with("ema diagnose") && !next.contains("study"), "{next}");
 }

@@ -46,7 +46,7 @@ pub struct Constants {
     pub torque_constant: f64,
     /// dynamic dry friction FD [N m]
     pub coulomb: f64,
-    /// FS over FD
+    /// FS over FD, as [`ActuatorParameters::break_away_ratio`]
     pub break_away: f64,
     /// C [N m s/rad]
     pub viscous: f64,
@@ -64,7 +64,7 @@ impl Constants {
         Self {
             torque_constant: p.torque_constant_n_m_per_a(),
             coulomb: fsj * p.static_friction_n_m * p.dynamic_friction_ratio,
-            break_away: 1.0 / p.dynamic_friction_ratio,
+            break_away: p.break_away_ratio(),
             viscous: p.viscous_n_m_s_per_rad,
             resistance: 2.0 * p.phase_resistance_ohm,
             inductance: 2.0 * p.phase_inductance_h,

@@ -123,44 +123,45 @@ fn parse(more: &str) -> schemas::error::Result<ActuatorParameters> {
     ActuatorParameters::parse("a.toml", &format!("{REFERENCE}\n{more}"))
 }
 
-#[test]
-fn prop_an_angle_sensor_says_whether_the_speed_is_its_own_and_nothing_else_does() {
-    let angle = visible(EffectKind::EncoderEccentricity);
-    let both = angle.clone().by(Law::AngleAndSpeed);
-    assert!(!angle.to_toml().contains("reads"), "files of before stay as they are");
-    assert_eq!(parse(&both.to_toml()).unwrap().effects, std::slice::from_ref(&both));
-    assert_ne!(
-        parse(&both.to_toml()).unwrap().fingerprint(),
-        parse(&angle.to_toml()).unwrap().fingerprint()
-    );
-    for (of, wrong, allowed) in [
-        (&angle, "speed", "angle or angle_and_speed"),
-        (&visible(EffectKind::Cogging), "angle", "in no sensor of the angle"),
-    ] {
-        let text = format!("{}reads = \"{wrong}\"\n", of.to_toml());
+/// The key of a law in files: not there for the first law, so that files of before stay as they are; another law is another actuator;
+/// a name that is none, and the key at an effect of another kind, are refused in one line that has the words of `refused`.
+fn says_its_law(first: &Effect, other: &Effect, key: &str, refused: [(&Effect, &str, &str); 2]) {
+    assert!(!first.to_toml().contains(key), "{}", first.to_toml());
+    assert!(other.to_toml().contains(&format!("{key} = \"")), "{}", other.to_toml());
+    for e in [first, other] {
+        assert_eq!(parse(&e.to_toml()).unwrap().effects, std::slice::from_ref(e));
+    }
+    let fingerprint = |e: &Effect| parse(&e.to_toml()).unwrap().fingerprint();
+    assert_ne!(fingerprint(first), fingerprint(other));
+    for (of, wrong, allowed) in refused {
+        let text = format!("{}{key} = \"{wrong}\"\n", of.to_toml());
         let e = parse(&text).unwrap_err().to_string();
         assert!(e.contains(allowed) && e.contains(wrong) && !e.contains('\n'), "{e}");
     }
 }
 
 #[test]
+fn prop_an_angle_sensor_says_whether_the_speed_is_its_own_and_nothing_else_does() {
+    let angle = visible(EffectKind::EncoderEccentricity);
+    let refused = [
+        (&angle, "speed", "angle or angle_and_speed"),
+        (&visible(EffectKind::Cogging), "angle", "in no sensor of the angle"),
+    ];
+    says_its_law(&angle, &angle.clone().by(Law::AngleAndSpeed), "reads", refused);
+}
+
+#[test]
 fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
     let power = visible(EffectKind::SupplySag);
     let legs = power.clone().by(Law::Legs);
-    assert!(!power.to_toml().contains("draw"), "files of before stay as they are");
-    assert_eq!(parse(&legs.to_toml()).unwrap().effects, std::slice::from_ref(&legs));
-    let said = format!("{}draw = \"power\"\n", power.to_toml());
-    assert_eq!(parse(&said).unwrap().effects, std::slice::from_ref(&power));
-    for (of, wrong, allowed) in [
+    let refused = [
         (&power, "both", "power, bridge or legs"),
         (&visible(EffectKind::DeadTime), "legs", "in no source"),
-    ] {
-        let error = parse(&format!("{}draw = \"{wrong}\"\n", of.to_toml()))
-            .unwrap_err()
-            .to_string();
-        assert!(error.contains(wrong) && error.contains(allowed), "{error}");
-    }
-    // another law is another actuator, in the files' key and in what the bench does
+    ];
+    says_its_law(&power, &legs, "draw", refused);
+    let said = format!("{}draw = \"power\"\n", power.to_toml());
+    assert_eq!(parse(&said).unwrap().effects, std::slice::from_ref(&power));
+    // in what the bench does, too
     let [power, legs] = [power, legs].map(|e| with(&[e]));
     assert_ne!(power.fingerprint(), legs.fingerprint());
     let told = |p: &Arc<ActuatorParameters>| bits::<1>(&[lane(p, 1.0)], 3000, InstructionSet::detect());
@@ -170,42 +171,21 @@ fn prop_a_source_says_what_its_voltage_goes_by_and_nothing_else_does() {
 #[test]
 fn prop_short_turns_say_what_has_become_of_them_and_nothing_else_does() {
     let lost = visible(EffectKind::TurnShort);
-    let bridged = lost.clone().by(Law::Bridged);
-    assert!(!lost.to_toml().contains("turns ="), "files of before stay as they are");
-    for e in [&lost, &bridged] {
-        assert_eq!(parse(&e.to_toml()).unwrap().effects, std::slice::from_ref(e));
-    }
-    assert_ne!(
-        parse(&lost.to_toml()).unwrap().fingerprint(),
-        parse(&bridged.to_toml()).unwrap().fingerprint()
-    );
-    for (of, wrong, allowed) in [
+    let refused = [
         (&lost, "open", "lost or bridged"),
         (&visible(EffectKind::DeadTime), "bridged", "in no winding"),
-    ] {
-        let text = format!("{}turns = \"{wrong}\"\n", of.to_toml());
-        let e = parse(&text).unwrap_err().to_string();
-        assert!(e.contains(allowed) && e.contains(wrong) && !e.contains('\n'), "{e}");
-    }
+    ];
+    says_its_law(&lost, &lost.clone().by(Law::Bridged), "turns", refused);
 }
 
 #[test]
 fn prop_bristles_say_what_they_break_away_at_and_nothing_else_does() {
-    let first = visible(EffectKind::Presliding);
-    let static_too = first.clone().by(Law::BreakAway);
-    assert!(
-        !first.to_toml().contains("breaks_away"),
-        "files of before stay as they are"
-    );
-    assert!(static_too.to_toml().contains("breaks_away = \"static\""));
-    for (of, wrong, allowed) in [
-        (&first, "never", "dynamic or static"),
+    let dynamic = visible(EffectKind::Presliding);
+    let refused = [
+        (&dynamic, "never", "dynamic or static"),
         (&visible(EffectKind::DeadTime), "static", "in no bristles"),
-    ] {
-        let text = format!("{}breaks_away = \"{wrong}\"\n", of.to_toml());
-        let e = parse(&text).unwrap_err().to_string();
-        assert!(e.contains(allowed) && e.contains(wrong) && !e.contains('\n'), "{e}");
-    }
+    ];
+    says_its_law(&dynamic, &dynamic.clone().by(Law::BreakAway), "breaks_away", refused);
 }
 
 #[test]

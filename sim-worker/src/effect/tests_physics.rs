@@ -525,6 +525,24 @@ fn prop_the_simplified_model_follows_the_bench_with_every_effect() {
     }
 }
 
+/// What an effect adds to the friction of bristles is not multiplied by their break-away, in either model; and no dynamic friction is no number of times the static one.
+#[test]
+fn prop_bristles_break_away_at_the_dry_friction_alone() {
+    let bristles = visible(EffectKind::Presliding).by(Law::BreakAway);
+    let more = Effect::new(EffectKind::TightSpot, &[0.2, 0.0, 1e6]);
+    // half a radian a second of the motor
+    let slow: Vec<f64> = (0..300_000).map(|k| 1e-3 * DT * k as f64).collect();
+    let [bench, model] = both(&with(&[bristles.clone(), more]), &slow);
+    let apart = difference(&bench[0], &model[0]) / rms(&bench[0]);
+    assert!(apart < 0.1, "{apart}");
+    let mut p = (*with(&[bristles])).clone();
+    p.dynamic_friction_ratio = 0.0;
+    let [bench, model] = both(&Arc::new(p), &sine(30_000, DT));
+    for x in bench.iter().chain(&model) {
+        assert!(x.iter().all(|x| x.is_finite()), "{x:?}");
+    }
+}
+
 #[test]
 fn prop_extreme_effects_stay_finite() {
     use EffectKind::*;

@@ -104,7 +104,7 @@ impl MonitorModel {
             1f64.copysign(push)
         };
         if let Some(b) = &mut e.bristles {
-            b.slide_at(fd, 0.0, self.w);
+            b.slide_at(self.fd, friction, self.w);
             let (at_rest, more) = b.linear(direction, dt);
             against += at_rest;
             slope += more;

@@ -1,6 +1,7 @@
 //! The candidate effects driven by measured signals: for given shape parameters, what each would
 //! add to the equations. The equations themselves stand in `sim_worker::effect`.
 
+use crate::candidates::bristles::{STATIC, breaks_away, dahl};
 use crate::candidates::loads::loose;
 use crate::candidates::phases::{BRIDGED, LEGS, of_phases};
 use crate::candidates::springs;
@@ -8,7 +9,7 @@ use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::samples::{rate_of, shifted};
 use crate::equations::signals::Signals;
-use sim_worker::effect::{self, Dahl, Effect, EffectKind, Equation, Law};
+use sim_worker::effect::{self, Effect, EffectKind, Equation, Law};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
@@ -30,7 +31,7 @@ pub enum Form {
     Periodic,
     /// all parameters are shape
     Shape,
-    /// stiffness from an amplitude and a distance
+    /// stiffness from the dry friction and a distance, which is shape; damping is an amplitude
     Presliding,
     /// a temperature rise from the share of the measured one
     Heating,
@@ -316,8 +317,8 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             }
         }
         EffectKind::Presliding => {
-            let static_too = if shape.len() > 1 { c.effect.break_away } else { 1.0 };
-            let sliding = dahl(s, shape[0], static_too);
+            let break_away = if breaks_away(shape) { c.effect.break_away } else { 1.0 };
+            let sliding = dahl(s, shape[0], break_away);
             let signal = sliding
                 .iter()
                 .zip(&s.sign)
@@ -407,39 +408,6 @@ fn warmth(s: &Signals, by_losses: bool, share: f64) -> Vec<f64> {
     all
 }
 
-/// Dahl's bristle deflection over that of fast sliding, driven by the measured motion.
-///
-/// * `distance` the motor angle over which friction turns round [rad]
-/// * `break_away` static over dynamic friction, as [`Dahl::rise`] has it
-fn dahl(s: &Signals, distance: f64, break_away: f64) -> Vec<f64> {
-    let mut z: f64 = 0.0;
-    let most = |omega: f64| Dahl::rise(break_away, omega);
-    // what is a piece of a recording begins with the bristles as the pieces before it left them
-    for w in s.before.windows(2) {
-        let way = w[1] - w[0];
-        let most = most(way * s.rate_hz);
-        let end = most * way.signum();
-        z = end + (z - end) * (-way.abs() / (distance * most)).exp();
-    }
-    let dt = 1.0 / s.rate_hz;
-    s.omega
-        .iter()
-        .map(|w| {
-            let most = most(*w);
-            let end = most * w.signum();
-            let before = z;
-            let x = w.abs() * dt / (distance * most);
-            // exact for a constant speed over the sample; the mean over it
-            z = end + (z - end) * (-x).exp();
-            if x > 1e-9 {
-                end + (before - end) * -(-x).exp_m1() / x
-            } else {
-                z
-            }
-        })
-        .collect()
-}
-
 /// What is believed of the amplitudes of an effect before the fit: their standard deviation around 0, none where they may be
 /// anything. Friction behind a spring is a share of the friction that there is; left free it runs away along with the clocks of
 /// the sensors, and takes the spring's damping with it.
@@ -457,7 +425,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
         EffectKind::TurnShort if shape.get(1) == Some(&BRIDGED) => Law::Bridged,
         EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => Law::AngleAndSpeed,
         EffectKind::TorqueSaturation if !shape.is_empty() => Law::Flux,
-        EffectKind::Presliding if shape.len() > 1 => Law::BreakAway,
+        EffectKind::Presliding if breaks_away(shape) => Law::BreakAway,
         EffectKind::CurrentGain => shape.first().map_or(Law::First, |q| Law::Phase(*q as usize)),
         _ => Law::First,
     };
@@ -503,9 +471,9 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
         Form::Shape if e.kind == EffectKind::CommutationOffset => (vec![v[0], 1.0], vec![]),
         Form::Shape => (v.to_vec(), vec![]),
         Form::Presliding => {
-            let static_too = (e.law == Law::BreakAway).then_some(1.0);
-            let distance = coulomb / v[0];
-            (std::iter::once(distance).chain(static_too).collect(), vec![v[1]])
+            let law = (e.law == Law::BreakAway).then_some(STATIC);
+            let shape = std::iter::once(coulomb / v[0]).chain(law);
+            (shape.collect(), vec![v[1]])
         }
         Form::Heating if hottest <= 0.0 => (vec![1.0], vec![v[0]]),
         Form::Heating => (vec![0.0], vec![v[0] / hottest.max(1e-9)]),

@@ -1,3 +1,4 @@
+pub mod bristles;
 pub mod columns;
 pub mod laws;
 mod loads;

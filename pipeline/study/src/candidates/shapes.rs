@@ -1,5 +1,6 @@
 //! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
 
+use crate::candidates::bristles::STATIC;
 use crate::candidates::phases::{BRIDGED, LEGS};
 use crate::candidates::springs::BY_TORQUE;
 use crate::equations::pieces::RigConstants;
@@ -289,7 +290,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
             (low - 0.05 * stroke, high + 0.05 * stroke),
             (0.004 * stroke, 0.5 * stroke),
         ],
-        EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke), (0.0, 1.0)],
+        EffectKind::Presliding => vec![(1e-7 * stroke, 0.2 * stroke), (0.0, STATIC)],
         EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1e-3, 1e7), (0.0, 1e9), (0.0, 0.8)],
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],

@@ -13,6 +13,7 @@ use crate::search::verdict::{SLOW_S, WORTH, rough_energy};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_worker::effect::{EffectKind, Equation};
+use std::collections::BTreeMap;
 
 /// Smallest gain in log-likelihood of an effect, after what its parameters cost: about one false alarm in a
 /// thousand studies over the whole list if residuals were as the noise says (assumed; the benchmark holds the
@@ -78,22 +79,27 @@ fn stays_disturbed(before: f64, after: f64, noise: f64) -> bool {
 }
 
 impl Material {
+    /// The block of time, the equation and the number of each row: a block is of one run.
+    fn blocks_of_time<'a>(&self, p: &'a Problem) -> impl Iterator<Item = ((usize, usize), usize, usize)> + 'a {
+        let length = self.clock.block(BLOCK_S);
+        p.blocks.iter().flat_map(move |b| {
+            let rows = b.rows.clone().zip(&b.samples);
+            rows.map(move |(row, k)| ((b.run, k / length), b.equation.index(), row))
+        })
+    }
+
     /// Gain of one model over another, by their residuals, that holds in 97.5 % of draws of blocks of time.
     /// Blocks that are disturbed whatever the model do not count, as long as they are the fewer. What few blocks show, as
     /// a reversal shows how friction sets in, many draws miss: there the gain counts that brings them down to the noise.
     pub(super) fn lasting_gain(&self, p: &Problem, before: &[f64], after: &[f64], sigma: &[f64; 5]) -> f64 {
-        let length = self.clock.block(BLOCK_S);
-        let mut blocks: std::collections::BTreeMap<(usize, usize), [f64; 4]> = Default::default();
-        for b in &p.blocks {
-            let e = b.equation.index();
-            for (row, &k) in b.rows.clone().zip(&b.samples) {
-                let (x, y) = (before[row].powi(2), after[row].powi(2));
-                let sum = blocks.entry((b.run, k / length)).or_default();
-                sum[0] += (x - y) / sigma[e].powi(2);
-                sum[1] += 1.0;
-                sum[2] += x / p.sensor_floor[e].powi(2);
-                sum[3] += y / p.sensor_floor[e].powi(2);
-            }
+        let mut blocks: BTreeMap<(usize, usize), [f64; 4]> = BTreeMap::new();
+        for (block, e, row) in self.blocks_of_time(p) {
+            let (x, y) = (before[row].powi(2), after[row].powi(2));
+            let sum = blocks.entry(block).or_default();
+            sum[0] += (x - y) / sigma[e].powi(2);
+            sum[1] += 1.0;
+            sum[2] += x / p.sensor_floor[e].powi(2);
+            sum[3] += y / p.sensor_floor[e].powi(2);
         }
         let disturbed = |b: &[f64; 4]| stays_disturbed(b[2], b[3], b[1]);
         let quiet: Vec<f64> = blocks.values().filter(|b| !disturbed(b)).map(|b| b[0]).collect();
@@ -102,13 +108,16 @@ impl Material {
         } else {
             blocks.values().map(|b| b[0]).collect()
         };
-        let sum = |which: &dyn Fn(&[f64; 4]) -> bool| blocks.values().filter(|b| which(b)).map(|b| b[0]).sum::<f64>();
-        let (all, lost, settled) = (
-            sum(&|_| true),
-            sum(&|b| b[0] < 0.0),
-            sum(&|b| b[0] > 0.0 && b[3] < b[1]),
-        );
-        if all > FEW_BLOCKS_GAIN && -lost < FEW_BLOCKS_REST * all && settled > (1.0 - FEW_BLOCKS_REST) * all {
+        let (mut all, mut lost, mut settled) = (0.0, 0.0, 0.0);
+        for [gain, rows, _, after] in blocks.values() {
+            all += gain;
+            if *gain < 0.0 {
+                lost -= gain;
+            } else if after < rows {
+                settled += gain;
+            }
+        }
+        if all > FEW_BLOCKS_GAIN && lost < FEW_BLOCKS_REST * all && settled > (1.0 - FEW_BLOCKS_REST) * all {
             return all;
         }
         let mut rng = ChaCha8Rng::seed_from_u64(1);
@@ -126,17 +135,15 @@ impl Material {
     /// Fold of each row of the fit runs, blocks of time as a whole. The blocks that tell most of some terms are in folds of their own, so
     /// that of an effect that few blocks show no fold has all: where one had, the others would say nothing of its amplitudes.
     fn folds(&self, terms: &[Term], sigma: &[f64; 5]) -> Vec<usize> {
-        let (p, length) = (&self.fit, self.clock.block(BLOCK_S));
+        let p = &self.fit;
         let weights = p.weights(sigma);
-        let told: Vec<fit::Regressor> = fit::regressors(p, terms, &self.constants);
+        let told = fit::regressors(p, terms, &self.constants);
         let columns: Vec<&Vec<f64>> = told.iter().flat_map(|r| r.linear.iter().chain(&r.fixed)).collect();
-        let mut blocks: std::collections::BTreeMap<(usize, usize), (f64, Vec<usize>)> = Default::default();
-        for b in &p.blocks {
-            for (row, &k) in b.rows.clone().zip(&b.samples) {
-                let block = blocks.entry((b.run, k / length)).or_default();
-                block.0 += columns.iter().map(|c| (c[row] * weights[row]).powi(2)).sum::<f64>();
-                block.1.push(row);
-            }
+        let mut blocks: BTreeMap<(usize, usize), (f64, Vec<usize>)> = BTreeMap::new();
+        for (block, _, row) in self.blocks_of_time(p) {
+            let (energy, rows) = blocks.entry(block).or_default();
+            *energy += columns.iter().map(|c| (c[row] * weights[row]).powi(2)).sum::<f64>();
+            rows.push(row);
         }
         let mut by_weight: Vec<&(f64, Vec<usize>)> = blocks.values().collect();
         by_weight.sort_by(|a, b| b.0.total_cmp(&a.0));

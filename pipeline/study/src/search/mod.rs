@@ -6,6 +6,7 @@ pub mod fit;
 pub mod form;
 pub mod intervals;
 pub mod judge;
+mod laws;
 pub mod remainder;
 pub mod scan;
 pub mod select;

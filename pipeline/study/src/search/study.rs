@@ -1,8 +1,7 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
+use crate::candidates::bristles::breaks_away;
 use crate::candidates::columns::{self, Form};
-use crate::candidates::shapes;
-use crate::candidates::springs::BY_TORQUE;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::measured::bench::BenchChannel;
@@ -156,68 +155,6 @@ impl Material {
         self.polish(&self.without(model, term), 1)
     }
 
-    /// A model whose springs were found by the torque, with these driven by the measured motion where that tells the data better: the
-    /// motion is known better near a resonance, but its noise would have been taken for a spring where there is none.
-    fn by_motion(&self, model: Fit) -> Fit {
-        let driven = |t: &mut Term| {
-            let by_torque = t.kind == EffectKind::Compliance && t.shape.get(3) == Some(&BY_TORQUE);
-            if by_torque {
-                t.shape.truncate(3);
-            }
-            by_torque
-        };
-        self.if_better(model, driven)
-    }
-
-    /// A model whose torque saturates, with a flux that does where that tells the data better. A scan sees little of the difference:
-    /// constants turn with the loss of torque, and only where all are solved for again do weak currents say whether they lose any.
-    fn by_flux(&self, model: Fit) -> Fit {
-        let runs = &self.fit.signals;
-        if runs.iter().any(|s| s.phases.is_none()) {
-            return model;
-        }
-        let saturated = |t: &mut Term| {
-            let by_torque = t.kind == EffectKind::TorqueSaturation && t.shape.is_empty();
-            if by_torque {
-                t.shape = vec![shapes::strongest(runs)];
-            }
-            by_torque
-        };
-        self.if_better(model, saturated)
-    }
-
-    /// A model whose bristles slide at the dynamic friction, with those that break away at the actuator's static one where that tells
-    /// the data better.
-    fn by_break_away(&self, model: Fit) -> Fit {
-        if self.bench.rig.break_away <= 1.0 {
-            return model;
-        }
-        let static_too = |t: &mut Term| {
-            let dynamic = t.kind == EffectKind::Presliding && t.shape.len() == 1;
-            if dynamic {
-                t.shape.push(1.0);
-            }
-            dynamic
-        };
-        self.if_better(model, static_too)
-    }
-
-    /// A model with terms changed, and solved again, where that tells the data better.
-    ///
-    /// * `change` of a term; whether it is one that changes
-    fn if_better(&self, model: Fit, change: impl Fn(&mut Term) -> bool) -> Fit {
-        let mut terms = model.terms.clone();
-        if terms.iter_mut().map(change).filter(|changed| *changed).count() == 0 {
-            return model;
-        }
-        let changed = self.polish(&self.solve(&terms, model.sigma), 2);
-        if penalised(self, &changed) > penalised(self, &model) {
-            changed
-        } else {
-            model
-        }
-    }
-
     /// Residual of a model on the held-out runs (on the fit runs where there are none).
     pub fn held_residual(&self, fit: &Fit) -> Vec<f64> {
         match &self.held {
@@ -319,7 +256,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         if !accepted {
             break;
         }
-        model = m.by_break_away(m.by_flux(m.by_motion(next)));
+        model = m.by_other_laws(next);
         for round in 0..2 {
             let terms;
             (m, terms) = m.carried(&model);
@@ -442,7 +379,7 @@ fn within_noise(m: &Material, model: &Fit) -> bool {
 }
 
 /// Log-likelihood less what the parameters of the terms cost (Schwarz).
-fn penalised(m: &Material, fit: &Fit) -> f64 {
+pub(super) fn penalised(m: &Material, fit: &Fit) -> f64 {
     let rows: f64 = Equation::ALL
         .iter()
         .map(|e| m.fit.rows_of(*e) as f64 * m.fit.independent[e.index()])
@@ -502,18 +439,14 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
     }
 }
 
-/// Bristles that break away at the static friction.
-fn breaks_away(t: &Term) -> bool {
-    t.kind == EffectKind::Presliding && t.shape.len() > 1
-}
-
 /// The last term whose amplitude's interval reaches nothing.
 fn vague(m: &Material, model: &Fit) -> Option<usize> {
     if model.terms.is_empty() {
         return None;
     }
     let all = intervals::intervals(m, model);
-    let breaks_away = model.terms.iter().any(breaks_away);
+    let static_too = |t: &Term| t.kind == EffectKind::Presliding && breaks_away(&t.shape);
+    let static_too = model.terms.iter().any(static_too);
     (0..model.terms.len()).rev().find(|&t| {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
@@ -521,7 +454,7 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
         let gain = model.terms[t].is_gain_of_all();
         let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
         // bristles that break away at the static friction have what slow motion has more of it, up to a speed that is assumed
-        let same = e.kind == EffectKind::Stribeck && breaks_away;
+        let same = e.kind == EffectKind::Stribeck && static_too;
         let needed = || !gain && !same && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
         let size = e.values[0].abs();
         let mut half = all.terms[t][0] / size;

@@ -246,7 +246,7 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Res
         one_constant,
         gear_ratio,
         pole_pairs,
-        break_away: actuator.map_or(1.0, |a| 1.0 / a.dynamic_friction_ratio),
+        break_away: actuator.map_or(1.0, ActuatorParameters::break_away_ratio),
         step_s: actuator.map_or(0.0, |a| a.step_s),
         supply_voltage,
         supply_of_file: None,

@@ -1,0 +1,78 @@
+//! A model's effects by another law of their kind, where a scan cannot tell which: all is solved for again, and the better one stands.
+
+use crate::candidates::bristles::{STATIC, breaks_away};
+use crate::candidates::shapes;
+use crate::candidates::springs::BY_TORQUE;
+use crate::search::fit::{Fit, Term};
+use crate::search::select::Material;
+use crate::search::study::penalised;
+use sim_worker::effect::EffectKind;
+
+impl Material {
+    /// A model with each law that another stands for and that tells the data better.
+    pub(super) fn by_other_laws(&self, model: Fit) -> Fit {
+        self.by_break_away(self.by_flux(self.by_motion(model)))
+    }
+
+    /// A model whose springs were found by the torque, with these driven by the measured motion where that tells the data better: the
+    /// motion is known better near a resonance, but its noise would have been taken for a spring where there is none.
+    fn by_motion(&self, model: Fit) -> Fit {
+        let driven = |t: &mut Term| {
+            let by_torque = t.kind == EffectKind::Compliance && t.shape.get(3) == Some(&BY_TORQUE);
+            if by_torque {
+                t.shape.truncate(3);
+            }
+            by_torque
+        };
+        self.if_better(model, driven)
+    }
+
+    /// A model whose torque saturates, with a flux that does where that tells the data better. A scan sees little of the difference:
+    /// constants turn with the loss of torque, and only where all are solved for again do weak currents say whether they lose any.
+    fn by_flux(&self, model: Fit) -> Fit {
+        let runs = &self.fit.signals;
+        if runs.iter().any(|s| s.phases.is_none()) {
+            return model;
+        }
+        let saturated = |t: &mut Term| {
+            let by_torque = t.kind == EffectKind::TorqueSaturation && t.shape.is_empty();
+            if by_torque {
+                t.shape = vec![shapes::strongest(runs)];
+            }
+            by_torque
+        };
+        self.if_better(model, saturated)
+    }
+
+    /// A model whose bristles slide at the dynamic friction, with those that break away at the actuator's static one where that tells
+    /// the data better.
+    fn by_break_away(&self, model: Fit) -> Fit {
+        if self.bench.rig.break_away <= 1.0 {
+            return model;
+        }
+        let static_too = |t: &mut Term| {
+            let dynamic = t.kind == EffectKind::Presliding && !breaks_away(&t.shape);
+            if dynamic {
+                t.shape.push(STATIC);
+            }
+            dynamic
+        };
+        self.if_better(model, static_too)
+    }
+
+    /// A model with terms changed, and solved again, where that tells the data better.
+    ///
+    /// * `change` of a term; whether it is one that changes
+    fn if_better(&self, model: Fit, change: impl Fn(&mut Term) -> bool) -> Fit {
+        let mut terms = model.terms.clone();
+        if terms.iter_mut().map(change).filter(|changed| *changed).count() == 0 {
+            return model;
+        }
+        let changed = self.polish(&self.solve(&terms, model.sigma), 2);
+        if penalised(self, &changed) > penalised(self, &model) {
+            changed
+        } else {
+            model
+        }
+    }
+}
