@@ -72,19 +72,20 @@ role = "heldout"
 }
 
 /// Bristles of an actuator of ours are told from the few reversals of one recording, and by their law.
-#[test]
-fn prop_bristles_break_away_at_the_static_friction_where_the_actuator_has_them() {
+/// The report of a study of the reference actuator with one effect, recorded by its sensors, and the model that the study wrote.
+fn studied(hidden: Effect, segments: &str, rate_hz: &str) -> (serde_json::Value, String) {
     let dir = tempfile::tempdir().unwrap();
-    let mut hidden = ActuatorParameters::reference();
-    let bristles = Effect::new(EffectKind::Presliding, &[2.02, 4.34e-3]).by(Law::BreakAway);
-    hidden.effects.push(bristles);
-    let (model, out) = (dir.path().join("hidden.toml"), dir.path().join("r.parquet"));
-    std::fs::write(&model, hidden.to_toml()).unwrap();
-    let segments = [(0.0012, 3.0, 2.0), (0.02, 0.8, 2.0), (0.3, 0.25, 4.0)].map(|(a, f, t)| multisine(a, f, t));
-    let seen = ["--sensors", "reference", "--rate", "10000", "--actuator", text(&model)];
-    recorded(&out, &segments.concat(), &seen);
-    let study = dir.path().join("study");
-    let report = json(&[
+    let mut actuator = ActuatorParameters::reference();
+    actuator.effects.push(hidden);
+    let (model, out, study) = (
+        dir.path().join("hidden.toml"),
+        dir.path().join("r.parquet"),
+        dir.path().join("study"),
+    );
+    std::fs::write(&model, actuator.to_toml()).unwrap();
+    let seen = ["--sensors", "reference", "--rate", rate_hz, "--actuator", text(&model)];
+    recorded(&out, segments, &seen);
+    let said = [
         "discrepancy",
         "--bench",
         text(&out),
@@ -92,17 +93,42 @@ fn prop_bristles_break_away_at_the_static_friction_where_the_actuator_has_them()
         "--json",
         "--out",
         text(&study),
-    ]);
-    let effects = report["effects"].as_array().unwrap();
-    assert_eq!(effects.len(), 1, "{report}");
+    ];
+    let report = json(&said);
+    assert_eq!(report["effects"].as_array().unwrap().len(), 1, "{report}");
+    (report, std::fs::read_to_string(study.join("actuator.toml")).unwrap())
+}
+
+#[test]
+fn prop_bristles_break_away_at_the_static_friction_where_the_actuator_has_them() {
+    let bristles = Effect::new(EffectKind::Presliding, &[2.02, 4.34e-3]).by(Law::BreakAway);
+    let segments = [(0.0012, 3.0, 2.0), (0.02, 0.8, 2.0), (0.3, 0.25, 4.0)].map(|(a, f, t)| multisine(a, f, t));
+    let (report, written) = studied(bristles, &segments.concat(), "10000");
+    let effect = &report["effects"][0];
     assert_eq!(
-        (&effects[0]["name"], &effects[0]["breaks_away"]),
+        (&effect["name"], &effect["breaks_away"]),
         (&"presliding".into(), &"static".into())
     );
-    let stiffness = effects[0]["parameters"]["stiffness"]["value"].as_f64().unwrap();
+    let stiffness = effect["parameters"]["stiffness"]["value"].as_f64().unwrap();
     assert!((stiffness / 2.02 - 1.0).abs() < 0.15, "{stiffness}");
-    let written = std::fs::read_to_string(study.join("actuator.toml")).unwrap();
     assert!(written.contains("breaks_away = \"static\""), "{written}");
+}
+
+#[test]
+fn prop_a_soft_shaft_that_only_the_torque_shows_is_named_with_its_values() {
+    let truth = [20.0, 6e-3, 1e-5];
+    let steps: String = [0.05, -0.1, 0.1, -0.05, 0.2, -0.2]
+        .map(|h| format!("[[segment]]\ncommand = \"step\"\nheight_rad = {h:?}\nduration_s = 0.5\n"))
+        .concat();
+    let segments = format!("{}{steps}{}", multisine(0.02, 0.8, 2.0), multisine(0.1, 0.5, 3.0));
+    let (report, _) = studied(Effect::new(EffectKind::Compliance, &truth), &segments, "2000");
+    let effect = &report["effects"][0];
+    assert_eq!(effect["name"], "compliance", "{report}");
+    for (key, truth) in ["stiffness", "damping", "inertia"].into_iter().zip(truth) {
+        let value = effect["parameters"][key]["value"].as_f64().unwrap();
+        println!("{key}: {value:.4e} for {truth:.4e}");
+        assert!((value / truth - 1.0).abs() < 0.2, "{key} {value}");
+    }
 }
 
 #[test]

@@ -81,11 +81,21 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         // a resonance that only the torque shows is as narrow as its damping
         EffectKind::Compliance if runs.iter().all(|r| r.user.is_none()) => {
             let rate = runs[0].rate_hz;
-            let of = |f: &f64| {
-                let by_torque = |share| [&tuned(*f, share * c.inertia)[..], &[BY_TORQUE]].concat();
-                [0.15, 0.35, 0.6].map(by_torque)
+            let of = |f: &f64, dull: f64| {
+                [0.15, 0.35, 0.6].map(|share| {
+                    let [stiffness, damping, inertia] = tuned(*f, share * c.inertia);
+                    vec![stiffness, dull * damping, inertia, BY_TORQUE]
+                })
             };
-            log(0.004 * rate, 0.09 * rate, 14).iter().flat_map(of).collect()
+            let mut out: Vec<Vec<f64>> = log(0.004 * rate, 0.09 * rate, 14)
+                .iter()
+                .flat_map(|f| of(f, 1.0))
+                .collect();
+            // torques that are on time show a dull one, and one that is faster
+            if runs.iter().all(|r| r.phases.is_some()) {
+                out.extend(log(0.02 * rate, 0.15 * rate, 6).iter().flat_map(|f| of(f, DULL)));
+            }
+            out
         }
         EffectKind::Compliance => {
             let rate = runs[0].rate_hz;
@@ -218,6 +228,9 @@ fn tuned(f: f64, inertia: f64) -> [f64; 3] {
     let stiffness = inertia * (TAU * f).powi(2);
     [stiffness, 0.1 * (stiffness * inertia).sqrt(), inertia]
 }
+
+/// Damping of a dull spring over that of [`tuned`].
+const DULL: f64 = 5.0;
 
 /// Stiffness and load inertia from the measured deflection, as a spring without dynamics shows it.
 fn deflected(runs: &[Signals]) -> Option<(f64, f64)> {

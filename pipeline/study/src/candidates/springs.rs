@@ -36,6 +36,14 @@ pub(super) fn contribution(shape: &[f64], s: &Signals, c: &RigConstants) -> Cont
         let torque: Vec<f64> = (0..s.n)
             .map(|k| c.effect.torque_constant * drive(s, c, k) - friction(k).iter().sum::<f64>())
             .collect();
+        // what the phases carry while it steps is their mean all the same
+        let means = s.phases.is_some();
+        let resting: Vec<bool> = s
+            .resting
+            .iter()
+            .zip(&s.stepping)
+            .map(|(r, s)| *r && !(means && *s))
+            .collect();
         let spring = Shaken {
             stiffness,
             damping,
@@ -44,7 +52,8 @@ pub(super) fn contribution(shape: &[f64], s: &Signals, c: &RigConstants) -> Cont
             rate_hz,
             torque: &torque,
             accel: &s.accel,
-            resting: &s.resting,
+            resting: &resting,
+            means,
         };
         // what is no friction of the motor is left to its torque
         return columns(inertia, s, c, |load, moved| spring.swings(load, moved));

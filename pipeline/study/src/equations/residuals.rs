@@ -3,6 +3,13 @@
 use crate::equations::problem::Problem;
 use sim_worker::effect::Equation;
 
+/// Length of the pieces whose quieter half says what the noise is [s], their least rows and number, and what the mean of all may be over
+/// it (all assumed).
+const PIECE_S: f64 = 0.05;
+const LEAST_ROWS: f64 = 10.0;
+const LEAST_PIECES: usize = 20;
+const QUIETLY: f64 = 1.06;
+
 impl Problem {
     /// Noise of an equation's rows by the differences of those that follow each other.
     pub fn by_differences(&self, residual: &[f64], e: Equation) -> f64 {
@@ -77,6 +84,37 @@ impl Problem {
     /// Energy of the sensors' noise in the rows of an equation.
     pub fn sensor_energy(&self, e: usize) -> f64 {
         self.rows_of(Equation::ALL[e]) as f64 * self.sensor_floor[e].powi(2)
+    }
+
+    /// Whether the phases of the motor are measured.
+    pub fn has_phases(&self) -> bool {
+        self.signals.iter().all(|s| s.phases.is_some())
+    }
+
+    /// Energy of the noise in the rows of an equation as the quieter half of short pieces has it, but not above that of the sensors':
+    /// where the sensors are better than they are said to be, what only few moments show stands out of it. Of recordings with phases,
+    /// whose channels are late by nothing that is not known.
+    pub fn quiet_energy(&self, residual: &[f64], e: Equation) -> f64 {
+        let length = self.clock.block(PIECE_S);
+        let mut pieces: std::collections::BTreeMap<(usize, usize), (f64, f64)> = Default::default();
+        for b in self.blocks.iter().filter(|b| b.equation == e) {
+            for (row, &k) in b.rows.clone().zip(&b.samples) {
+                let sum = pieces.entry((b.run, k / length)).or_default();
+                *sum = (sum.0 + residual[row].powi(2), sum.1 + 1.0);
+            }
+        }
+        let mut each: Vec<f64> = pieces
+            .values()
+            .filter(|s| s.1 >= LEAST_ROWS)
+            .map(|s| s.0 / s.1)
+            .collect();
+        let most = self.sensor_energy(e.index());
+        if each.len() < LEAST_PIECES || !self.has_phases() {
+            return most;
+        }
+        let middle = each.len() / 2;
+        let quiet = *each.select_nth_unstable_by(middle, f64::total_cmp).1;
+        most.min(QUIETLY * quiet * self.rows_of(e) as f64)
     }
 
     /// Torque that the model does not have, rms [N m], by the energy that it leaves: with it, the rows are as

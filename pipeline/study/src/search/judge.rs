@@ -268,13 +268,22 @@ fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
 /// Whether a new spring that no second sensor sees is hardly heard in the torque.
 fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
     let e = Equation::Torque.index();
-    // what would be damped more than any shaft, if it might, is a torque that is late
+    // what would be damped more than any shaft, if it might, is a torque that is late; measured phases are not
+    let phases = m.fit.has_phases();
     let dull = |t: &Term| {
-        t.kind == EffectKind::Compliance && springs::resonance(&t.shape, m.constants.inertia).1 > MOST_DAMPED_SHAFT
+        t.kind == EffectKind::Compliance
+            && !phases
+            && springs::resonance(&t.shape, m.constants.inertia).1 > MOST_DAMPED_SHAFT
     };
+    let (share, noise) = if phases {
+        (LEAST_BENT, m.fit.quiet_energy(&model.residual, Equation::Torque))
+    } else {
+        (LEAST_HEARD, 0.0)
+    };
+    let taken = model.score.energy[e] - next.score.energy[e];
     sprung(model, next)
         && !m.fit.sees_user()
-        && (next.score.energy[e] > (1.0 - LEAST_HEARD) * model.score.energy[e] || next.terms.iter().any(dull))
+        && (taken < share * (model.score.energy[e] - noise) || next.terms.iter().any(dull))
 }
 
 /// Whether a spring is new in a model.
@@ -432,5 +441,5 @@ fn noise_energy(m: &Material, model: &Fit, e: usize) -> f64 {
     if Equation::ALL[e] == Equation::Controller {
         return 0.0;
     }
-    rough_energy(&m.fit, &model.residual, e)
+    rough_energy(&m.fit, &model.residual, e).min(m.fit.quiet_energy(&model.residual, Equation::ALL[e]))
 }

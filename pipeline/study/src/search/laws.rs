@@ -6,7 +6,7 @@ use crate::candidates::springs::BY_TORQUE;
 use crate::search::fit::{Fit, Term};
 use crate::search::select::Material;
 use crate::search::study::penalised;
-use sim_worker::effect::EffectKind;
+use sim_worker::effect::{EffectKind, Equation};
 
 impl Material {
     /// A model with each law that another stands for and that tells the data better.
@@ -24,7 +24,13 @@ impl Material {
             }
             by_torque
         };
-        self.if_better(model, driven)
+        let torque = |f: &Fit| f.score.energy[Equation::Torque.index()];
+        let by_motion = self.if_better(model.clone(), driven);
+        // where the torque is on time, two sensors that then agree better on the motion are no reason by themselves
+        if self.fit.has_phases() && torque(&by_motion) > torque(&model) {
+            return model;
+        }
+        by_motion
     }
 
     /// A model whose torque saturates, with a flux that does where that tells the data better. A scan sees little of the difference:

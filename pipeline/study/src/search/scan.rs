@@ -362,8 +362,14 @@ impl<'a> Scan<'a> {
 
     /// Whether more is left of the torque than its noise, so that a spring can be heard in it.
     fn heard(&self) -> bool {
-        let noise = self.problem.sensor_energy(Equation::Torque.index());
-        self.none.energy[Equation::Torque.index()] > LEAST_NOISE * noise
+        let e = Equation::Torque;
+        let rows: Vec<f64> = self.residual[..self.problem.rows]
+            .iter()
+            .map(|r| r * self.sigma[e.index()])
+            .collect();
+        let noise = self.problem.quiet_energy(&rows, e);
+        let least = if self.problem.has_phases() { 1.0 } else { LEAST_NOISE };
+        self.none.energy[e.index()] > least * noise
     }
 
     /// Whether a load on its spring swings so that the torque alone shows it: what is faster than the samples follow is a torque that is
@@ -371,9 +377,14 @@ impl<'a> Scan<'a> {
     fn resounds(&self, shape: &[f64]) -> bool {
         let (swing, damped) = resonance(shape, self.constants.inertia);
         let lighter = shape[2].min(self.constants.inertia - shape[2]);
+        let (most_damped, most_swing) = if self.problem.has_phases() {
+            (MOST_DAMPED_OF_PHASES, MOST_SWING_OF_PHASES)
+        } else {
+            (MOST_DAMPED, MOST_SWING)
+        };
         lighter > LEAST_SIDE * self.constants.inertia
-            && damped < MOST_DAMPED
-            && swing < MOST_SWING * std::f64::consts::TAU * self.problem.clock.rate_hz
+            && damped < most_damped
+            && swing < most_swing * std::f64::consts::TAU * self.problem.clock.rate_hz
     }
 
     /// Orders of a few periods over the stroke, which no spectrum shows where some of the stroke is seen more often than the rest.
@@ -394,9 +405,11 @@ impl<'a> Scan<'a> {
 /// Periods over the travel from which something is seen to repeat (assumed).
 const LEAST_PERIODS: f64 = 1.5;
 /// Of a spring that only the torque shows (assumed): most frequency of the free resonance over that of the samples, most of its
-/// damping ratio, least share of the inertia on either side.
+/// damping ratio, least share of the inertia on either side. Where phases are measured the torque is on time.
 const MOST_SWING: f64 = 0.08;
 const MOST_DAMPED: f64 = 0.25;
+const MOST_SWING_OF_PHASES: f64 = 0.2;
+const MOST_DAMPED_OF_PHASES: f64 = 0.5;
 const LEAST_SIDE: f64 = 0.05;
 /// Of one of these (assumed): energy of the torque's gap over that of its noise from which it is looked for, gain in log-likelihood of
 /// the best of the grid from which that is refined, and how many of the grid are.

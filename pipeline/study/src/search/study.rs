@@ -24,6 +24,8 @@ const PAIR_GAIN: f64 = 60.0;
 const EXCITED: f64 = 3.0;
 /// Half-width of an amplitude's 95 % interval over the amplitude from which it may as well be nothing.
 const VAGUE: f64 = 0.7;
+/// The same of the stiffness of a spring that only the torque shows (assumed).
+const VAGUE_SPRING: f64 = 0.4;
 /// The same from which the interval holds nothing: such an effect is none, whatever the fit gains by it.
 const NOTHING: f64 = 1.0;
 /// Gain of an effect that is there though its interval is wide.
@@ -373,8 +375,9 @@ fn within_noise(m: &Material, model: &Fit) -> bool {
         over(SLOWEST - 1).min(over(SLOWEST))
     };
     // of the controller's own equation no floor is known
-    let noise =
-        |e: &Equation| model.score.energy[e.index()] <= m.fit.sensor_energy(e.index()) && slow(*e) < SLOW_EXCESS;
+    let noise = |e: &Equation| {
+        model.score.energy[e.index()] <= m.fit.quiet_energy(&model.residual, *e) && slow(*e) < SLOW_EXCESS
+    };
     m.equations.iter().all(|e| *e != Equation::Controller && noise(e))
 }
 
@@ -461,7 +464,9 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
         if half > most {
             half = intervals::intervals_by_law(m, model, Some(t)).terms[t][0] / size;
         }
-        linear && (half > NOTHING || half > most && !needed())
+        // a spring that only the torque shows is there if it is known how stiff it is
+        let unseen = e.kind == EffectKind::Compliance && m.fit.has_phases() && !m.fit.sees_user();
+        linear && (half > NOTHING || half > most && !needed()) || unseen && half > VAGUE_SPRING
     })
 }
 
