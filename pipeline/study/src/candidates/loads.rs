@@ -158,7 +158,13 @@ impl Shaken<'_> {
         let n = self.torque.len();
         let load_share = 1.0 / self.inertia.max(1e-12);
         let both = load_share + 1.0 / self.motor.max(1e-12);
-        let substeps = substeps((self.stiffness * both).sqrt(), self.rate_hz).next_multiple_of(2);
+        let substeps = substeps((self.stiffness * both).sqrt(), self.rate_hz);
+        // the middle of a sample is between two of them
+        let substeps = if self.means {
+            substeps.next_multiple_of(2)
+        } else {
+            substeps
+        };
         let dt = 1.0 / (self.rate_hz * substeps as f64);
         // acceleration of the load less the motor's, but for the spring's
         let pushes: Vec<f64> = (0..n)

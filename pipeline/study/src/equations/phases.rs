@@ -15,6 +15,9 @@ pub const SUPPLY: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Phases {
     pub current: [Vec<f64>; 3],
+    /// whether the currents are known to be means over their samples, which beside voltages shows: from points nobody knows what a
+    /// torque that steps is in between
+    pub means: bool,
     /// against the star point, or, by [`Phases::mix`], against anything else that is the same for all three
     pub voltage: Option<[Vec<f64>; 3]>,
     /// rows of the electrical equation in a window, each by what it takes of the phases' equations
@@ -71,6 +74,8 @@ impl Phases {
         });
         Some(Self {
             current,
+            means: three(BenchChannel::VOLTAGES).is_some()
+                && bench.channel(BenchChannel::CurrentA).is_none_or(|c| c.mean),
             voltage: three(BenchChannel::VOLTAGES),
             mix: TO_STAR,
             supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),

@@ -86,14 +86,14 @@ impl Problem {
         self.rows_of(Equation::ALL[e]) as f64 * self.sensor_floor[e].powi(2)
     }
 
-    /// Whether the phases of the motor are measured.
-    pub fn has_phases(&self) -> bool {
-        self.signals.iter().all(|s| s.phases.is_some())
+    /// Whether the torque is on time, as a mean over each sample: by the phases of the motor, where these are means.
+    pub fn on_time(&self) -> bool {
+        self.signals.iter().all(|s| s.phases.as_ref().is_some_and(|p| p.means))
     }
 
     /// Energy of the noise in the rows of an equation as the quieter half of short pieces has it, but not above that of the sensors':
-    /// where the sensors are better than they are said to be, what only few moments show stands out of it. Of recordings with phases,
-    /// whose channels are late by nothing that is not known.
+    /// where these are better than they are said to be, what only few moments show stands out of it. Where the torque is not on time
+    /// it is that of the sensors: there a channel that is a little late stands out of the quieter half as well.
     pub fn quiet_energy(&self, residual: &[f64], e: Equation) -> f64 {
         let length = self.clock.block(PIECE_S);
         let mut pieces: std::collections::BTreeMap<(usize, usize), (f64, f64)> = Default::default();
@@ -109,7 +109,7 @@ impl Problem {
             .map(|s| s.0 / s.1)
             .collect();
         let most = self.sensor_energy(e.index());
-        if each.len() < LEAST_PIECES || !self.has_phases() {
+        if each.len() < LEAST_PIECES || !self.on_time() {
             return most;
         }
         let middle = each.len() / 2;

@@ -28,11 +28,11 @@ pub(super) const SLOWEST: i32 = 4;
 pub(super) const SLOW_EXCESS: f64 = 1.5;
 /// Least share of it over longer times than the shortest (assumed).
 const SLOWER_PART: f64 = 0.8;
-/// Smallest share of the transmission's excess that a spring in it must explain (assumed).
+/// Smallest share of the transmission's excess that a spring in it must explain; of the torque's, where phases are measured (assumed).
 const LEAST_BENT: f64 = 0.5;
-/// Share of the torque's gap that a spring takes which only the torque shows (assumed).
+/// Share of the torque's gap that a spring takes which only the torque shows, of a rig (assumed).
 const LEAST_HEARD: f64 = 0.2;
-/// Most damping ratio of its resonance (assumed); the search goes a little further.
+/// Most damping ratio of its resonance, of a rig (assumed); the search goes a little further.
 const MOST_DAMPED_SHAFT: f64 = 0.2;
 /// Gap of the transmission over its noise from which a load is not where it is thought to be (assumed).
 const FAR_LOOSE: f64 = 5.0;
@@ -269,7 +269,7 @@ fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
 fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
     let e = Equation::Torque.index();
     // what would be damped more than any shaft, if it might, is a torque that is late; measured phases are not
-    let phases = m.fit.has_phases();
+    let phases = m.fit.on_time();
     let dull = |t: &Term| {
         t.kind == EffectKind::Compliance
             && !phases

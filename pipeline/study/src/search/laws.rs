@@ -27,7 +27,7 @@ impl Material {
         let torque = |f: &Fit| f.score.energy[Equation::Torque.index()];
         let by_motion = self.if_better(model.clone(), driven);
         // where the torque is on time, two sensors that then agree better on the motion are no reason by themselves
-        if self.fit.has_phases() && torque(&by_motion) > torque(&model) {
+        if self.fit.on_time() && torque(&by_motion) > torque(&model) {
             return model;
         }
         by_motion

@@ -368,7 +368,7 @@ impl<'a> Scan<'a> {
             .map(|r| r * self.sigma[e.index()])
             .collect();
         let noise = self.problem.quiet_energy(&rows, e);
-        let least = if self.problem.has_phases() { 1.0 } else { LEAST_NOISE };
+        let least = if self.problem.on_time() { 1.0 } else { LEAST_NOISE };
         self.none.energy[e.index()] > least * noise
     }
 
@@ -377,7 +377,7 @@ impl<'a> Scan<'a> {
     fn resounds(&self, shape: &[f64]) -> bool {
         let (swing, damped) = resonance(shape, self.constants.inertia);
         let lighter = shape[2].min(self.constants.inertia - shape[2]);
-        let (most_damped, most_swing) = if self.problem.has_phases() {
+        let (most_damped, most_swing) = if self.problem.on_time() {
             (MOST_DAMPED_OF_PHASES, MOST_SWING_OF_PHASES)
         } else {
             (MOST_DAMPED, MOST_SWING)

@@ -465,7 +465,7 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
             half = intervals::intervals_by_law(m, model, Some(t)).terms[t][0] / size;
         }
         // a spring that only the torque shows is there if it is known how stiff it is
-        let unseen = e.kind == EffectKind::Compliance && m.fit.has_phases() && !m.fit.sees_user();
+        let unseen = e.kind == EffectKind::Compliance && m.fit.on_time() && !m.fit.sees_user();
         linear && (half > NOTHING || half > most && !needed()) || unseen && half > VAGUE_SPRING
     })
 }
