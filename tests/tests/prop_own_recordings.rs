@@ -71,7 +71,6 @@ role = "heldout"
     assert!((e.parameters[0].value - 0.3).abs() < 0.015, "{e:?}");
 }
 
-/// Bristles of an actuator of ours are told from the few reversals of one recording, and by their law.
 /// The report of a study of the reference actuator with one effect, recorded by its sensors, and the model that the study wrote.
 fn studied(hidden: Effect, segments: &str, rate_hz: &str) -> (serde_json::Value, String) {
     let dir = tempfile::tempdir().unwrap();
@@ -99,6 +98,7 @@ fn studied(hidden: Effect, segments: &str, rate_hz: &str) -> (serde_json::Value,
     (report, std::fs::read_to_string(study.join("actuator.toml")).unwrap())
 }
 
+/// Bristles of an actuator of ours are told from the few reversals of one recording, and by their law.
 #[test]
 fn prop_bristles_break_away_at_the_static_friction_where_the_actuator_has_them() {
     let bristles = Effect::new(EffectKind::Presliding, &[2.02, 4.34e-3]).by(Law::BreakAway);

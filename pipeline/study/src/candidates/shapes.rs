@@ -92,7 +92,7 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
                 .flat_map(|f| of(f, 1.0))
                 .collect();
             // torques that are on time show a dull one, and one that is faster
-            if runs.iter().all(|r| r.phases.as_ref().is_some_and(|p| p.means)) {
+            if runs.iter().all(Signals::on_time) {
                 out.extend(log(0.02 * rate, 0.15 * rate, 6).iter().flat_map(|f| of(f, DULL)));
             }
             out

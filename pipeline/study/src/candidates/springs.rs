@@ -37,7 +37,7 @@ pub(super) fn contribution(shape: &[f64], s: &Signals, c: &RigConstants) -> Cont
             .map(|k| c.effect.torque_constant * drive(s, c, k) - friction(k).iter().sum::<f64>())
             .collect();
         // what the phases carry while it steps is their mean all the same
-        let means = s.phases.as_ref().is_some_and(|p| p.means);
+        let means = s.on_time();
         let resting: Vec<bool> = s
             .resting
             .iter()

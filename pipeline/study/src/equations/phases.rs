@@ -72,11 +72,11 @@ impl Phases {
             let begins = 2.0 * ends[0] - ends[1.min(ends.len() - 1)];
             std::iter::once(begins).chain(ends).collect()
         });
+        let voltage = three(BenchChannel::VOLTAGES);
         Some(Self {
             current,
-            means: three(BenchChannel::VOLTAGES).is_some()
-                && bench.channel(BenchChannel::CurrentA).is_none_or(|c| c.mean),
-            voltage: three(BenchChannel::VOLTAGES),
+            means: voltage.is_some() && bench.channel(BenchChannel::CurrentA).is_none_or(|c| c.mean),
+            voltage,
             mix: TO_STAR,
             supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),
             pole_pairs: bench.rig.pole_pairs,

@@ -1,6 +1,7 @@
 //! What a residual's rows come to: energies, beside those of the noise, from row to row and in means over some time.
 
 use crate::equations::problem::Problem;
+use crate::equations::signals::Signals;
 use sim_worker::effect::Equation;
 
 /// Length of the pieces whose quieter half says what the noise is [s], their least rows and number, and what the mean of all may be over
@@ -86,30 +87,39 @@ impl Problem {
         self.rows_of(Equation::ALL[e]) as f64 * self.sensor_floor[e].powi(2)
     }
 
-    /// Whether the torque is on time, as a mean over each sample: by the phases of the motor, where these are means.
+    /// Whether the torque is on time in all runs.
     pub fn on_time(&self) -> bool {
-        self.signals.iter().all(|s| s.phases.as_ref().is_some_and(|p| p.means))
+        self.signals.iter().all(Signals::on_time)
+    }
+
+    /// The piece of time, the equation and the number of each row: a piece is of one run.
+    pub fn in_pieces(&self, seconds: f64) -> impl Iterator<Item = ((usize, usize), usize, usize)> {
+        let length = self.clock.block(seconds);
+        self.blocks.iter().flat_map(move |b| {
+            let rows = b.rows.clone().zip(&b.samples);
+            rows.map(move |(row, k)| ((b.run, k / length), b.equation.index(), row))
+        })
     }
 
     /// Energy of the noise in the rows of an equation as the quieter half of short pieces has it, but not above that of the sensors':
     /// where these are better than they are said to be, what only few moments show stands out of it. Where the torque is not on time
     /// it is that of the sensors: there a channel that is a little late stands out of the quieter half as well.
     pub fn quiet_energy(&self, residual: &[f64], e: Equation) -> f64 {
-        let length = self.clock.block(PIECE_S);
+        let most = self.sensor_energy(e.index());
+        if !self.on_time() {
+            return most;
+        }
         let mut pieces: std::collections::BTreeMap<(usize, usize), (f64, f64)> = Default::default();
-        for b in self.blocks.iter().filter(|b| b.equation == e) {
-            for (row, &k) in b.rows.clone().zip(&b.samples) {
-                let sum = pieces.entry((b.run, k / length)).or_default();
-                *sum = (sum.0 + residual[row].powi(2), sum.1 + 1.0);
-            }
+        for (piece, _, row) in self.in_pieces(PIECE_S).filter(|x| x.1 == e.index()) {
+            let sum = pieces.entry(piece).or_default();
+            *sum = (sum.0 + residual[row].powi(2), sum.1 + 1.0);
         }
         let mut each: Vec<f64> = pieces
             .values()
             .filter(|s| s.1 >= LEAST_ROWS)
             .map(|s| s.0 / s.1)
             .collect();
-        let most = self.sensor_energy(e.index());
-        if each.len() < LEAST_PIECES || !self.on_time() {
+        if each.len() < LEAST_PIECES {
             return most;
         }
         let middle = each.len() / 2;

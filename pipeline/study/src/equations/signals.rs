@@ -86,6 +86,11 @@ impl Signals {
         if self.supply.is_some() { rows / 2 } else { rows }
     }
 
+    /// Whether the torque is on time, as a mean over each sample: by the phases of the motor, where these are means.
+    pub fn on_time(&self) -> bool {
+        self.phases.as_ref().is_some_and(|p| p.means)
+    }
+
     /// The user's angle behind a play of half-width `half` that follows `theta`; it starts where the user's sensor says.
     pub fn played(&self, theta: &[f64], half: f64) -> Vec<f64> {
         let ahead = theta[0] - self.theta[0];

@@ -28,7 +28,7 @@ pub(super) const SLOWEST: i32 = 4;
 pub(super) const SLOW_EXCESS: f64 = 1.5;
 /// Least share of it over longer times than the shortest (assumed).
 const SLOWER_PART: f64 = 0.8;
-/// Smallest share of the transmission's excess that a spring in it must explain; of the torque's, where phases are measured (assumed).
+/// Smallest share of the transmission's excess that a spring in it must explain; of the torque's, where that is on time (assumed).
 const LEAST_BENT: f64 = 0.5;
 /// Share of the torque's gap that a spring takes which only the torque shows, of a rig (assumed).
 const LEAST_HEARD: f64 = 0.2;
@@ -79,21 +79,12 @@ fn stays_disturbed(before: f64, after: f64, noise: f64) -> bool {
 }
 
 impl Material {
-    /// The block of time, the equation and the number of each row: a block is of one run.
-    fn blocks_of_time<'a>(&self, p: &'a Problem) -> impl Iterator<Item = ((usize, usize), usize, usize)> + 'a {
-        let length = self.clock.block(BLOCK_S);
-        p.blocks.iter().flat_map(move |b| {
-            let rows = b.rows.clone().zip(&b.samples);
-            rows.map(move |(row, k)| ((b.run, k / length), b.equation.index(), row))
-        })
-    }
-
     /// Gain of one model over another, by their residuals, that holds in 97.5 % of draws of blocks of time.
     /// Blocks that are disturbed whatever the model do not count, as long as they are the fewer. What few blocks show, as
     /// a reversal shows how friction sets in, many draws miss: there the gain counts that brings them down to the noise.
     pub(super) fn lasting_gain(&self, p: &Problem, before: &[f64], after: &[f64], sigma: &[f64; 5]) -> f64 {
         let mut blocks: BTreeMap<(usize, usize), [f64; 4]> = BTreeMap::new();
-        for (block, e, row) in self.blocks_of_time(p) {
+        for (block, e, row) in p.in_pieces(BLOCK_S) {
             let (x, y) = (before[row].powi(2), after[row].powi(2));
             let sum = blocks.entry(block).or_default();
             sum[0] += (x - y) / sigma[e].powi(2);
@@ -140,7 +131,7 @@ impl Material {
         let told = fit::regressors(p, terms, &self.constants);
         let columns: Vec<&Vec<f64>> = told.iter().flat_map(|r| r.linear.iter().chain(&r.fixed)).collect();
         let mut blocks: BTreeMap<(usize, usize), (f64, Vec<usize>)> = BTreeMap::new();
-        for (block, _, row) in self.blocks_of_time(p) {
+        for (block, _, row) in p.in_pieces(BLOCK_S) {
             let (energy, rows) = blocks.entry(block).or_default();
             *energy += columns.iter().map(|c| (c[row] * weights[row]).powi(2)).sum::<f64>();
             rows.push(row);
@@ -267,23 +258,19 @@ fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
 
 /// Whether a new spring that no second sensor sees is hardly heard in the torque.
 fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
-    let e = Equation::Torque.index();
-    // what would be damped more than any shaft, if it might, is a torque that is late; measured phases are not
-    let phases = m.fit.on_time();
+    if !sprung(model, next) || m.fit.sees_user() {
+        return false;
+    }
+    let e = Equation::Torque;
+    let (before, after) = (model.score.energy[e.index()], next.score.energy[e.index()]);
+    if m.fit.on_time() {
+        return before - after < LEAST_BENT * (before - m.fit.quiet_energy(&model.residual, e));
+    }
+    // what would be damped more than any shaft, if it might, is a torque that is late
     let dull = |t: &Term| {
-        t.kind == EffectKind::Compliance
-            && !phases
-            && springs::resonance(&t.shape, m.constants.inertia).1 > MOST_DAMPED_SHAFT
+        t.kind == EffectKind::Compliance && springs::resonance(&t.shape, m.constants.inertia).1 > MOST_DAMPED_SHAFT
     };
-    let (share, noise) = if phases {
-        (LEAST_BENT, m.fit.quiet_energy(&model.residual, Equation::Torque))
-    } else {
-        (LEAST_HEARD, 0.0)
-    };
-    let taken = model.score.energy[e] - next.score.energy[e];
-    sprung(model, next)
-        && !m.fit.sees_user()
-        && (taken < share * (model.score.energy[e] - noise) || next.terms.iter().any(dull))
+    after > (1.0 - LEAST_HEARD) * before || next.terms.iter().any(dull)
 }
 
 /// Whether a spring is new in a model.
@@ -375,18 +362,15 @@ fn small(m: &Material, model: &Fit, next: &Fit) -> bool {
 /// they were.
 fn disturbed_energy(m: &Material, before: &[f64], after: &[f64]) -> [f64; 5] {
     let p = &m.fit;
-    let length = m.clock.block(DISTURBED_S);
-    let mut blocks: std::collections::BTreeMap<(usize, usize, usize), [f64; 3]> = Default::default();
-    for b in &p.blocks {
-        for (row, &k) in b.rows.clone().zip(&b.samples) {
-            let sum = blocks.entry((b.equation.index(), b.run, k / length)).or_default();
-            sum[0] += before[row].powi(2);
-            sum[1] += after[row].powi(2);
-            sum[2] += p.sensor_floor[b.equation.index()].powi(2);
-        }
+    let mut blocks: BTreeMap<(usize, (usize, usize)), [f64; 3]> = BTreeMap::new();
+    for (piece, e, row) in p.in_pieces(DISTURBED_S) {
+        let sum = blocks.entry((e, piece)).or_default();
+        sum[0] += before[row].powi(2);
+        sum[1] += after[row].powi(2);
+        sum[2] += p.sensor_floor[e].powi(2);
     }
     let mut out = [0.0; 5];
-    for ((e, _, _), [before, after, floor]) in blocks {
+    for ((e, _), [before, after, floor]) in blocks {
         if stays_disturbed(before, after, floor) {
             out[e] += before - floor;
         }
@@ -435,11 +419,16 @@ fn slow_part(m: &Material, model: &Fit, next: &Fit, e: Equation) -> f64 {
 }
 
 /// Energy of an equation's noise: the sensors' as they are said to be, or what the model leaves from row to row where
-/// that is more, but not much.
+/// that is more, but not much; that of the quieter half where that is less.
 fn noise_energy(m: &Material, model: &Fit, e: usize) -> f64 {
     // the controller's own equation has no floor that is known
     if Equation::ALL[e] == Equation::Controller {
         return 0.0;
     }
-    rough_energy(&m.fit, &model.residual, e).min(m.fit.quiet_energy(&model.residual, Equation::ALL[e]))
+    let quiet = m.fit.quiet_energy(&model.residual, Equation::ALL[e]);
+    if quiet < m.fit.sensor_energy(e) {
+        quiet
+    } else {
+        rough_energy(&m.fit, &model.residual, e)
+    }
 }

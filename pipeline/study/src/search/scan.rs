@@ -362,14 +362,14 @@ impl<'a> Scan<'a> {
 
     /// Whether more is left of the torque than its noise, so that a spring can be heard in it.
     fn heard(&self) -> bool {
-        let e = Equation::Torque;
-        let rows: Vec<f64> = self.residual[..self.problem.rows]
-            .iter()
-            .map(|r| r * self.sigma[e.index()])
-            .collect();
-        let noise = self.problem.quiet_energy(&rows, e);
-        let least = if self.problem.on_time() { 1.0 } else { LEAST_NOISE };
-        self.none.energy[e.index()] > least * noise
+        let (p, e) = (self.problem, Equation::Torque);
+        let noise = if p.on_time() {
+            let unweighted = self.residual[..p.rows].iter().map(|r| r * self.sigma[e.index()]);
+            p.quiet_energy(&unweighted.collect::<Vec<_>>(), e)
+        } else {
+            LEAST_NOISE * p.sensor_energy(e.index())
+        };
+        self.none.energy[e.index()] > noise
     }
 
     /// Whether a load on its spring swings so that the torque alone shows it: what is faster than the samples follow is a torque that is
@@ -378,7 +378,7 @@ impl<'a> Scan<'a> {
         let (swing, damped) = resonance(shape, self.constants.inertia);
         let lighter = shape[2].min(self.constants.inertia - shape[2]);
         let (most_damped, most_swing) = if self.problem.on_time() {
-            (MOST_DAMPED_OF_PHASES, MOST_SWING_OF_PHASES)
+            (MOST_DAMPED_ON_TIME, MOST_SWING_ON_TIME)
         } else {
             (MOST_DAMPED, MOST_SWING)
         };
@@ -405,11 +405,11 @@ impl<'a> Scan<'a> {
 /// Periods over the travel from which something is seen to repeat (assumed).
 const LEAST_PERIODS: f64 = 1.5;
 /// Of a spring that only the torque shows (assumed): most frequency of the free resonance over that of the samples, most of its
-/// damping ratio, least share of the inertia on either side. Where phases are measured the torque is on time.
+/// damping ratio, least share of the inertia on either side. Further where the torque is on time.
 const MOST_SWING: f64 = 0.08;
 const MOST_DAMPED: f64 = 0.25;
-const MOST_SWING_OF_PHASES: f64 = 0.2;
-const MOST_DAMPED_OF_PHASES: f64 = 0.5;
+const MOST_SWING_ON_TIME: f64 = 0.2;
+const MOST_DAMPED_ON_TIME: f64 = 0.5;
 const LEAST_SIDE: f64 = 0.05;
 /// Of one of these (assumed): energy of the torque's gap over that of its noise from which it is looked for, gain in log-likelihood of
 /// the best of the grid from which that is refined, and how many of the grid are.
