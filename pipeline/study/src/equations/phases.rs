@@ -75,7 +75,7 @@ impl Phases {
         let voltage = three(BenchChannel::VOLTAGES);
         Some(Self {
             current,
-            means: voltage.is_some() && bench.channel(BenchChannel::CurrentA).is_none_or(|c| c.mean),
+            means: voltage.is_some() && bench.channel(BenchChannel::CurrentA).is_none_or(|c| !c.of_points),
             voltage,
             mix: TO_STAR,
             supply: run.channel(BenchChannel::VDc).map(<[f64]>::to_vec),
