@@ -233,7 +233,7 @@ fn commutation(m: &Material, [find, prove]: Both) -> Option<Beside> {
 /// What the phase currents add up to, which is nothing but the offsets of their sensors.
 fn offset(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> {
     let spec = m.bench.channel(BenchChannel::CurrentA)?;
-    let believed = spec.offset.unwrap_or(noise_of(m, BenchChannel::CurrentA)) * 3f64.sqrt();
+    let of_one = spec.offset.unwrap_or(noise_of(m, BenchChannel::CurrentA));
     let sums = |s: &Signals| -> Sums {
         let Some(p) = &s.phases else { return Sums::default() };
         // means over stretches, whose noise is small
@@ -254,12 +254,19 @@ fn offset(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> {
     let (value, sd) = jackknife(&of(find))?;
     let proof = Sums::all(&of(prove));
     let (before, after) = (proof.rms(0.0), proof.rms(value));
-    // of which the sensors' usual ones are a part
-    let sd = sd.hypot(believed);
+    // the sensors' usual ones are a part of the sum, and what stands in one sensor alone is beside what that one has
+    let usual = of_one * 3f64.sqrt();
+    let sensor = sensor_of(m, model, find, value);
+    let beside = if sensor.is_some() { of_one } else { usual };
     let seen = ("sum of the phase currents", "A");
-    holds(value, sd, LEAST_OFFSET * believed, before, after).then(|| Beside {
-        law: sensor_of(m, model, find, value).map_or(Law::First, Law::Phase),
-        ..found(EffectKind::CurrentOffset, (value, sd), seen, (before, after))
+    holds(value, sd.hypot(beside), LEAST_OFFSET * beside, before, after).then(|| Beside {
+        law: sensor.map_or(Law::First, Law::Phase),
+        ..found(
+            EffectKind::CurrentOffset,
+            (value, sd.hypot(usual)),
+            seen,
+            (before, after),
+        )
     })
 }
 

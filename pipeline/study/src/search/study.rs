@@ -483,6 +483,9 @@ fn usual(t: &Term) -> f64 {
 
 type Tried = (Step, Fit, Vec<EffectKind>);
 
+/// Share of a spring's gain from which a constant torque does as well (assumed).
+const AS_WELL: f64 = 0.95;
+
 fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
     let first = ranked.first()?;
     let best_gain = first.gain;
@@ -499,6 +502,13 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
     // none where the gains are beyond all numbers
     let gain = tried.first()?.1;
     let kind_of = |f: &Fit| f.terms.last().expect("one was added").kind;
+    // where a spring is at ease is a constant torque: where that does as well it comes first, and the spring after it if there is one
+    let constant = |f: &Fit| matches!(kind_of(f), EffectKind::BiasTorque | EffectKind::CurrentOffset);
+    let spring = |f: &Fit| kind_of(f) == EffectKind::SpringLoad;
+    if spring(&tried[0].0) && tried.iter().any(|t| constant(&t.0) && t.1 > AS_WELL * gain) {
+        tried.retain(|t| !spring(&t.0));
+        tried.sort_by_key(|t| !constant(&t.0));
+    }
     let clean = (0..5).all(|e| tried[0].0.score.energy[e] <= WORTH * m.fit.sensor_energy(e));
     let behind = RIVAL + if clean { 0.0 } else { RIVAL_SHARE * gain };
     let mut out: Option<Step> = None;
