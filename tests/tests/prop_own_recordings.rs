@@ -73,6 +73,11 @@ role = "heldout"
 
 /// The report of a study of the reference actuator with one effect, recorded by its sensors, and the model that the study wrote.
 fn studied(hidden: Effect, segments: &str, rate_hz: &str) -> (serde_json::Value, String) {
+    studied_of(hidden, segments, &["--rate", rate_hz])
+}
+
+/// The same with further words of the recording.
+fn studied_of(hidden: Effect, segments: &str, words: &[&str]) -> (serde_json::Value, String) {
     let dir = tempfile::tempdir().unwrap();
     let mut actuator = ActuatorParameters::reference();
     actuator.effects.push(hidden);
@@ -82,8 +87,8 @@ fn studied(hidden: Effect, segments: &str, rate_hz: &str) -> (serde_json::Value,
         dir.path().join("study"),
     );
     std::fs::write(&model, actuator.to_toml()).unwrap();
-    let seen = ["--sensors", "reference", "--rate", rate_hz, "--actuator", text(&model)];
-    recorded(&out, segments, &seen);
+    let seen = ["--sensors", "reference", "--actuator", text(&model)];
+    recorded(&out, segments, &[&seen, words].concat());
     let said = [
         "discrepancy",
         "--bench",
@@ -95,7 +100,9 @@ fn studied(hidden: Effect, segments: &str, rate_hz: &str) -> (serde_json::Value,
     ];
     let report = json(&said);
     assert_eq!(report["effects"].as_array().unwrap().len(), 1, "{report}");
-    (report, std::fs::read_to_string(study.join("actuator.toml")).unwrap())
+    // nothing is written where something else is missing too
+    let written = std::fs::read_to_string(study.join("actuator.toml")).unwrap_or_default();
+    (report, written)
 }
 
 /// Bristles of an actuator of ours are told from the few reversals of one recording, and by their law.
@@ -129,6 +136,22 @@ fn prop_a_soft_shaft_that_only_the_torque_shows_is_named_with_its_values() {
         println!("{key}: {value:.4e} for {truth:.4e}");
         assert!((value / truth - 1.0).abs() < 0.2, "{key} {value}");
     }
+}
+
+/// An offset of one phase's sensor, four times the most that a usual one has: the sum of three usual ones comes near it, one alone does not.
+#[test]
+fn prop_an_offset_of_one_sensor_is_beside_what_one_has() {
+    let segments = format!("{}{}", multisine(0.2, 0.45, 7.0), multisine(0.1, 0.5, 3.0));
+    let hidden = Effect {
+        law: Law::Phase(0),
+        ..Effect::new(EffectKind::CurrentOffset, &[0.09])
+    };
+    let (report, _) = studied_of(hidden, &segments, &["--rate", "2000", "--seed", "8"]);
+    let effect = &report["effects"][0];
+    assert_eq!(effect["name"], "current_offset", "{report}");
+    assert_eq!(effect["sensor"], "a", "{report}");
+    let [lo, hi] = ["lo", "hi"].map(|k| effect["parameters"]["current"][k].as_f64().unwrap());
+    assert!(lo < 0.09 && 0.09 < hi && hi - lo < 0.1, "{lo} {hi}");
 }
 
 #[test]

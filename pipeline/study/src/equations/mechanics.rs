@@ -54,9 +54,6 @@ impl Mechanics {
 const MOST_ROWS: usize = 16_000;
 /// Share of the way that the torque makes in a sample by which the angle at its end is off (assumed).
 const UNEVEN: f64 = 0.02;
-/// Noise of a sensor over the range of what it measured that no sensor is better than (assumed). An angle over a hundred turns is known by
-/// the count of one turn.
-const FINEST: f64 = 1e-9;
 /// Most samples in a grain of an angle sensor that count.
 const LONGEST_GRAIN: f64 = 30.0;
 /// No torque is known better than this share of its rms (assumed).
@@ -102,10 +99,7 @@ pub fn mechanics(
     };
     let of = |c: C| {
         let (rms, range) = (noise.get(&c).map_or(0.0, |n| n.slow_rms()), range(runs, c));
-        (
-            (rms * held(c)).max(FINEST * range).max(1e-15),
-            clock.lateness(bench, c).1,
-        )
+        ((rms * held(c)).max(1e-7 * range).max(1e-15), clock.lateness(bench, c).1)
     };
     let sensor = rig.drive_constant.value.abs() * noise.get(&rig.drive).map_or(0.0, |n| n.slow_rms());
     let load = noise.get(&C::Load).map_or(0.0, |n| n.slow_rms());

@@ -50,12 +50,10 @@ const DISTURBED_S: f64 = 0.05;
 /// Length of the blocks of the bootstrap [s].
 const BLOCK_S: f64 = 0.4;
 const DRAWS: usize = 400;
-/// Gain of few blocks that is believed whatever others say (of 54 plain actuators of another hand no candidate had more than 8), and what
+/// Gain of few blocks that is believed whatever others say (of a healthy actuator no candidate had more than 24), and what
 /// the others may lose of it (both assumed).
-const FEW_BLOCKS_GAIN: f64 = 60.0;
-const FEW_BLOCKS_REST: f64 = 0.15;
-/// Share of what was beyond the noise of such a block that a model with values off by a tenth may leave (assumed).
-const REMAINS: f64 = 0.1;
+const FEW_BLOCKS_GAIN: f64 = 100.0;
+const FEW_BLOCKS_REST: f64 = 0.1;
 /// Parts of the fit runs, each judged by what the others say.
 const FOLDS: usize = 5;
 /// A block of held-out data whose gap stays beyond this energy, whatever the model, was disturbed (assumed).
@@ -83,8 +81,7 @@ fn stays_disturbed(before: f64, after: f64, noise: f64) -> bool {
 impl Material {
     /// Gain of one model over another, by their residuals, that holds in 97.5 % of draws of blocks of time.
     /// Blocks that are disturbed whatever the model do not count, as long as they are the fewer. What few blocks show, as
-    /// a reversal shows how friction sets in, many draws miss: there the gain counts that brings them down to the noise, or leaves next to
-    /// nothing of what was beyond it.
+    /// a reversal shows how friction sets in, many draws miss: there the gain counts that brings them down to the noise.
     pub(super) fn lasting_gain(&self, p: &Problem, before: &[f64], after: &[f64], sigma: &[f64; 5]) -> f64 {
         let mut blocks: BTreeMap<(usize, usize), [f64; 4]> = BTreeMap::new();
         for (block, e, row) in p.in_pieces(BLOCK_S) {
@@ -103,11 +100,11 @@ impl Material {
             blocks.values().map(|b| b[0]).collect()
         };
         let (mut all, mut lost, mut settled) = (0.0, 0.0, 0.0);
-        for [gain, rows, before, after] in blocks.values() {
+        for [gain, rows, _, after] in blocks.values() {
             all += gain;
             if *gain < 0.0 {
                 lost -= gain;
-            } else if after - rows < (REMAINS * (before - rows)).max(0.0) {
+            } else if after < rows {
                 settled += gain;
             }
         }
