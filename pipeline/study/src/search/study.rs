@@ -505,8 +505,8 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
     // where a spring is at ease is a constant torque: where that does as well it comes first, and the spring after it if there is one
     let constant = |f: &Fit| matches!(kind_of(f), EffectKind::BiasTorque | EffectKind::CurrentOffset);
     let spring = |f: &Fit| kind_of(f) == EffectKind::SpringLoad;
-    if spring(&tried[0].0) && tried.iter().any(|t| constant(&t.0) && t.1 > AS_WELL * gain) {
-        tried.retain(|t| !spring(&t.0));
+    let as_well = spring(&tried[0].0) && tried.iter().any(|t| constant(&t.0) && t.1 > AS_WELL * gain);
+    if as_well {
         tried.sort_by_key(|t| !constant(&t.0));
     }
     let clean = (0..5).all(|e| tried[0].0.score.energy[e] <= WORTH * m.fit.sensor_energy(e));
@@ -517,6 +517,7 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
         if step.accepted {
             let rivals = tried[i + 1..]
                 .iter()
+                .filter(|t| !(as_well && spring(&t.0)))
                 .filter(|t| gain - t.1 < behind && judged(m, model, &t.0, t.1, &ranked).accepted)
                 .map(|t| kind_of(&t.0))
                 .collect();
