@@ -254,16 +254,19 @@ fn offset(m: &Material, model: &Fit, [find, prove]: Both) -> Option<Beside> {
     let (value, sd) = jackknife(&of(find))?;
     let proof = Sums::all(&of(prove));
     let (before, after) = (proof.rms(0.0), proof.rms(value));
-    // the sensors' usual ones are a part of the sum, and what stands in one sensor alone is beside what that one has
-    let usual = of_one * 3f64.sqrt();
+    // the sensors' usual ones are a part of the sum; what stands in one sensor alone is held against what one has
+    let stands = |usual: f64| holds(value, sd.hypot(usual), LEAST_OFFSET * usual, before, after);
+    let of_all = of_one * 3f64.sqrt();
+    if !stands(of_one) {
+        return None;
+    }
     let sensor = sensor_of(m, model, find, value);
-    let beside = if sensor.is_some() { of_one } else { usual };
     let seen = ("sum of the phase currents", "A");
-    holds(value, sd.hypot(beside), LEAST_OFFSET * beside, before, after).then(|| Beside {
+    (sensor.is_some() || stands(of_all)).then(|| Beside {
         law: sensor.map_or(Law::First, Law::Phase),
         ..found(
             EffectKind::CurrentOffset,
-            (value, sd.hypot(usual)),
+            (value, sd.hypot(of_all)),
             seen,
             (before, after),
         )

@@ -517,8 +517,8 @@ fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
         if step.accepted {
             let rivals = tried[i + 1..]
                 .iter()
-                .filter(|t| !(as_well && spring(&t.0)))
-                .filter(|t| gain - t.1 < behind && judged(m, model, &t.0, t.1, &ranked).accepted)
+                .filter(|t| !(as_well && spring(&t.0)) && gain - t.1 < behind)
+                .filter(|t| judged(m, model, &t.0, t.1, &ranked).accepted)
                 .map(|t| kind_of(&t.0))
                 .collect();
             return Some((step, next.clone(), rivals));

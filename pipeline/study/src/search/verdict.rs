@@ -157,11 +157,9 @@ pub fn conclude(
     if model.terms.is_empty() {
         // of a drive that is measured as means nothing is lost between samples
         let torque = Equation::Torque.index();
-        let gross = |p: &Problem, energy: f64| energy > GROSS * p.sensor_energy(torque);
-        let gross = stated
-            && drive.is_some_and(|d| d.mean)
-            && gross(&m.fit, model.score.energy[torque])
-            && gross(held, after[torque]);
+        let over = |p: &Problem, energy: f64| energy > GROSS * p.sensor_energy(torque);
+        let means = drive.is_some_and(|d| d.mean);
+        let gross = stated && means && over(&m.fit, model.score.energy[torque]) && over(held, after[torque]);
         if gross || (0..4).any(odd) {
             return (Verdict::Unknown, 0.0, remainder);
         }
