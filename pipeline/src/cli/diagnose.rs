@@ -76,7 +76,8 @@ pub struct DiagnoseArgs {
     method: Method,
     /// Also fit the faults by running the test bench itself
     ///
-    /// The unit's causes too: it takes some seconds, and shows what the maps lose against it.
+    /// The unit's causes too, by some hundred runs of the test bench: half a minute, for intervals of FSJ that are half as wide or
+    /// less where units differ.
     #[arg(long, help_heading = MAPS)]
     refine: bool,
     /// Share of tests whose true pair the intervals hold
@@ -102,7 +103,12 @@ fn refined_text(r: &Refined, case: &Case) -> String {
         r.misfit,
         r.features.len().saturating_sub(2)
     );
-    if let Some(a) = case.diagnosis.outcome.area() {
+    if !r.fits() {
+        out += &format!(
+            "          no unit of the spread makes such a test (misfit of 999 in 1000: at most {:.0}): these intervals hold nothing\n",
+            r.greatest_misfit()
+        );
+    } else if let Some(a) = case.diagnosis.outcome.area() {
         out += &format!(
             "          the maps' intervals are {:.2} (FSJ) and {:.2} (zeta) times as wide\n",
             a.fsj.width() / r.fsj.width(),

@@ -9,8 +9,8 @@ use ema_tests::coverage::{
     FSJ, ZETA, calibrated, fresh, judge, maps_of, only, quantile, record, reference_maps, yardstick,
 };
 use ema_tests::coverage::{circle, temperature, units};
-use pipeline::calibrate::{Campaign, Effort, draw_units};
-use schemas::feature::{Feature, Role};
+use pipeline::calibrate::{Campaign, Effort, Unit, draw_units};
+use schemas::feature::{Feature, RawFeatures, Role};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -44,6 +44,9 @@ struct Options {
     /// Both pre-flight tests compared in this spread
     #[arg(long, value_name = "SPREAD")]
     sequences: Option<String>,
+    /// Of `--sequences`: this test alone
+    #[arg(long, value_name = "SEQUENCE", value_parser = ["preflight", "preflight2"], requires = "sequences")]
+    sequence: Option<String>,
     /// Units with a history, of this spread
     #[arg(long, value_name = "SPREAD")]
     units: Option<String>,
@@ -149,7 +152,7 @@ fn bench(cache: &std::path::Path, options: &Options) -> Result<String> {
         let part = options.refined.min(units.len());
         if part > 0 {
             let _ = writeln!(out, "Against the slow estimator, spread {name}: ");
-            out += &yardstick::compare(&diagnoser, &setup, &spread, &units[..part], &measured[..part])?;
+            out += &yardstick::compare(&diagnoser, &setup, &spread, &units[..part], &measured[..part], &[])?;
         }
         if options.coverage_only {
             continue;
@@ -284,7 +287,8 @@ fn of_both_sequences(cache: &std::path::Path, spread: &str, options: &Options) -
     let mut worth = String::from(
         "| maps | truth inside % | width FSJ | width zeta | error FSJ | error zeta |\n|---|---|---|---|---|---|\n",
     );
-    for sequence in ["preflight", "preflight2"] {
+    let asked = |s: &&str| options.sequence.as_ref().is_none_or(|one| one == s);
+    for sequence in ["preflight", "preflight2"].into_iter().filter(asked) {
         let (set, setup) = maps_of(&cache.join(sequence), sequence, &options.grid, 0.0)?;
         for l in &set.header.left_out {
             let _ = writeln!(out, "{sequence}: left out {l}\n");
@@ -318,6 +322,16 @@ fn of_both_sequences(cache: &std::path::Path, spread: &str, options: &Options) -
                 [0, 1, 2, 3].map(|q| (1e3 * diagnoser.reach(q)).round() / 1e3)
             );
             worth += &record::maps_row(&format!("{sequence}, {title}"), &cases);
+            let mut refined = |title: &str, units: &[Unit], measured: &[RawFeatures]| -> Result<()> {
+                let part = options.refined.min(units.len());
+                if part > 0 {
+                    let _ = writeln!(out, "Against the slow estimator, {sequence}, {title}: ");
+                    out += &yardstick::compare(&diagnoser, &setup, &spread, &units[..part], &measured[..part], left)?;
+                }
+                Ok(())
+            };
+            refined(title, &units, &measured)?;
+            refined(&format!("{title}, simulated by another hand"), &others.0, &others.1)?;
             let (units, measured) = &others;
             let cases = judge(&diagnoser, units, measured);
             out += &record::coverage(&format!("{sequence}, {title}, simulated by another hand"), &cases);

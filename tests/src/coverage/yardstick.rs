@@ -5,7 +5,7 @@ use anyhow::{Context, Result};
 use diagnoser::diagnosis::Diagnoser;
 use pipeline::calibrate::Unit;
 use pipeline::refine::{Start, Test, refine};
-use schemas::feature::RawFeatures;
+use schemas::feature::{Feature, RawFeatures};
 use sim_worker::setup::TestSetup;
 use sim_worker::spread::Spread;
 use std::fmt::Write;
@@ -37,16 +37,20 @@ fn stretch(pairs: &[Pair], of: Of, share: f64) -> f64 {
 }
 
 /// Table of widths at equal coverage.
+///
+/// * `left_out` features that the tests are taken to lack
 pub fn compare(
     diagnoser: &Diagnoser,
     setup: &TestSetup,
     spread: &Spread,
     units: &[Unit],
     measured: &[RawFeatures],
+    left_out: &[Feature],
 ) -> Result<String> {
     let mut pairs = Vec::new();
     for (u, raw) in units.iter().zip(measured) {
-        let features = diagnoser.maps.features(raw);
+        let all = diagnoser.maps.features(raw);
+        let features = left_out.iter().fold(all, |features, &f| features.with(f, None));
         let d = diagnoser.diagnose(&features, &[]);
         let Some(area) = d.outcome.area() else { continue };
         let test = Test {
