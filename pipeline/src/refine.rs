@@ -47,8 +47,8 @@ fn fitted() -> impl Iterator<Item = Feature> {
 /// Smallest first radii, FSJ as a share of itself: an area that is wrong must not hold the search.
 const FIRST: (f64, f64) = (0.05, 0.02);
 
-/// Runs of one step: of the model's own actuator, and where causes are fitted too; twice as many once the box has its last size.
-const RUNS: (usize, usize) = (64, 128);
+/// Runs of one step; twice as many once the box has its last size.
+const RUNS: usize = 128;
 
 const MOST_STEPS: usize = 8;
 
@@ -243,8 +243,7 @@ pub fn refine(test: &Test<'_>, start: Option<Start>, coverage: f64, seed: u64) -
     let mut trace: Vec<Step> = Vec::new();
     let (mut runs, mut settled, mut stairs) = (0, false, 0.0);
     loop {
-        let step = if problem.free.is_empty() { RUNS.0 } else { RUNS.1 };
-        let n = if settled { 2 * step } else { step };
+        let n = if settled { 2 * RUNS } else { RUNS };
         let Some(new) = problem.simulate(&region, cloud.as_ref(), (trace.len() + 1, n), &mut rng)? else {
             return Ok(None);
         };
