@@ -351,6 +351,9 @@ impl Region {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::refine::walk::Walk;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
 
     /// Even numbers from 0 to 1 (Weyl's sequence of a square root).
     fn even(i: usize, root: f64) -> f64 {
@@ -416,25 +419,19 @@ mod tests {
         assert!(p.misfit < 0.1, "{p:?}");
     }
 
+    /// Units drawn by what straight features say, their noise as of [`points`].
+    fn walk(region: &Region, sigma: [f64; 2], measured: [f64; 2], seed: u64) -> Walk {
+        let all = points(region, 400, sigma);
+        let fit = Surrogate::fit(region, &all.iter().collect::<Vec<_>>(), &[0.0; 2]).unwrap();
+        let gaussian = fit.posterior(region, &measured);
+        Walk::through(&fit, region, &measured, &gaussian, &mut ChaCha8Rng::seed_from_u64(seed))
+    }
+
     #[test]
     fn val_a_cause_of_which_nothing_is_known_is_uniform() {
-        use crate::refine::walk::Walk;
-        use rand::SeedableRng;
-        use rand_chacha::ChaCha8Rng;
         let region = Region::new([3.0, 0.2], [0.5, 0.1]);
-        let all = points(&region, 400, [1e-4, 1e-4]);
-        let fit = Surrogate::fit(&region, &all.iter().collect::<Vec<_>>(), &[0.0; 2]).unwrap();
-        let gaussian = fit.posterior(&region, &[3.1, 0.22]);
-        let walk = |seed| {
-            Walk::through(
-                &fit,
-                &region,
-                &[3.1, 0.22],
-                &gaussian,
-                &mut ChaCha8Rng::seed_from_u64(seed),
-            )
-        };
-        let w = walk(1);
+        let exact = |measured, seed| walk(&region, [1e-4; 2], measured, seed);
+        let w = exact([3.1, 0.22], 1);
         // FSJ = 3.1 - 0.1 x, zeta = 0.22 - 0.02 x, x from -1 to 1
         let (f, z) = (w.shortest(0, 0.95), w.shortest(1, 0.95));
         assert!(
@@ -447,16 +444,23 @@ mod tests {
             "{:?}",
             w.posterior
         );
-        assert_eq!(walk(1).shortest(0, 0.95), f, "the seed decides everything");
+        let again = exact([3.1, 0.22], 1).shortest(0, 0.95);
+        assert_eq!(again, f, "the seed decides everything");
         // beyond what the cause can be: its end, and no farther
-        let beyond = Walk::through(
-            &fit,
-            &region,
-            &[3.1, 0.15],
-            &gaussian,
-            &mut ChaCha8Rng::seed_from_u64(1),
-        );
-        assert!(beyond.posterior.causes[0].abs() <= 1.0);
+        assert!(exact([3.1, 0.15], 1).posterior.causes[0].abs() <= 1.0);
+    }
+
+    #[test]
+    fn prop_an_interval_begins_at_the_physical_limit_whatever_the_seed_and_at_no_other_end() {
+        let region = Region::new([3.0, 0.0], [0.5, 0.05]);
+        for seed in 0..10 {
+            let w = walk(&region, [0.03, 0.01], [3.0, 0.0], seed);
+            let (f, z) = (w.shortest(0, 0.975), w.shortest(1, 0.975));
+            assert!(z.lo == 0.0 && z.hi > 0.015 && f.lo > 2.5, "seed {seed}: {f:?} {z:?}");
+        }
+        // away from it
+        let z = walk(&region, [0.03, 0.01], [3.0, 0.06], 1).shortest(1, 0.975);
+        assert!(z.lo > 0.02 && z.hi < 0.1, "{z:?}");
     }
 
     #[test]
