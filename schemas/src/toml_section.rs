@@ -98,6 +98,11 @@ impl Section {
         self.take(key)
     }
 
+    /// A value as it stands in the file, which is still to be read.
+    pub fn peek(&self, key: &str) -> Option<&Value> {
+        self.table.get(key)
+    }
+
     /// Whether a key is there that was not read yet.
     pub fn has(&self, key: &str) -> bool {
         self.table.contains_key(key)

@@ -5,6 +5,7 @@ mod read;
 use crate::measured::filtered::LowPass;
 use crate::measured::jumps::Jumps;
 use crate::measured::own;
+use crate::measured::winding::Winding;
 use ema_tables::units::Quantity;
 use read::{channel_spec, rig, run_spec};
 use schemas::error::{Error, Result};
@@ -196,6 +197,8 @@ pub struct Rig {
     pub back_emf: Known,
     /// both as the bench says them, where they were taken for one constant of a motor
     pub one_constant: Option<(f64, f64)>,
+    /// what lies between a voltage that is fed in and the torque, where no current is recorded
+    pub winding: Option<Winding>,
     pub gear_ratio: f64,
     pub pole_pairs: f64,
     /// static over dynamic friction of an actuator of ours; 1 without one
@@ -360,9 +363,9 @@ impl Bench {
 
     fn from_section(mut s: Section, path: &Path, actuator: Option<&ActuatorParameters>) -> Result<Self> {
         let mut rig_section = s.section("rig")?;
-        let rig = rig(&mut rig_section, actuator)?;
-        rig_section.finish()?;
         let mut c = s.section("channels")?;
+        let rig = rig(&mut rig_section, actuator, c.has(BenchChannel::Current.name()))?;
+        rig_section.finish()?;
         let mut channels = Vec::new();
         for channel in BenchChannel::ALL {
             if c.has(channel.name()) {

@@ -10,3 +10,4 @@ mod points;
 pub mod recording;
 pub(crate) mod rows;
 pub mod sums;
+pub mod winding;

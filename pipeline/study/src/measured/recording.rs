@@ -102,6 +102,10 @@ impl Run {
         self.channels.remove(&c)
     }
 
+    pub(super) fn put(&mut self, c: BenchChannel, x: Vec<f64>) {
+        self.channels.insert(c, x);
+    }
+
     pub fn duration_s(&self) -> f64 {
         self.samples as f64 / self.rate_hz
     }

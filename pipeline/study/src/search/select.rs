@@ -12,6 +12,7 @@ use crate::measured::bench::{Bench, BenchChannel, Known, Noise, Role};
 use crate::measured::check;
 use crate::measured::filtered;
 use crate::measured::recording::{self, Run};
+use crate::measured::winding;
 use crate::search::excitation;
 use crate::search::fit::{self, Fit, Regressor, Score, Term};
 use crate::search::scan::Scan;
@@ -56,6 +57,7 @@ pub struct Ranked {
 impl Material {
     /// * `known` effects that the model has already
     pub fn new(mut bench: Bench, mut runs: Vec<Run>, known: &[Effect]) -> Self {
+        winding::feed(&mut bench, &mut runs);
         filtered::leave_out(&mut bench, &mut runs);
         recording::taken_together(&mut bench, &mut runs);
         begin(&mut bench, &runs);

@@ -237,6 +237,14 @@ pub(super) fn assumptions(m: &Material) -> Vec<String> {
             "drive_constant ({torque:.4e}) and back_emf_constant ({voltage:.4e}) are one constant of a motor: their mean by what they are trusted"
         ));
     }
+    if let Some(w) = &rig.winding {
+        out.push(format!(
+            "voltage at the motor's terminals, no current: the drive's constant is drive_constant / resistance, {:.4e} N m/V, late by inductance / resistance, {:.4} ms; `viscous` includes what the back-EMF brakes, {:.4e} N m s/rad",
+            w.gain().value,
+            1e3 * w.lag_s(),
+            w.braking()
+        ));
+    }
     for (c, late) in m.found_delays() {
         out.push(format!(
             "channel `{}`: {:.4} ms later than the bench says, found from the data",

@@ -2,6 +2,7 @@
 
 use super::{BenchChannel, ChannelSpec, ControllerLaw, Known, Noise, Rig, Role, RunSpec};
 use crate::measured::one_constant::taken_for_one;
+use crate::measured::winding::Winding;
 use ema_tables::units::Quantity;
 use schemas::error::{Error, Result};
 use schemas::toml_section::Section;
@@ -50,10 +51,17 @@ fn known(s: &mut Section, key: &str, q: Quantity, lead: Option<f64>, default: Op
     }))
 }
 
+/// Whether a constant's unit is a torque or a force by the ampere.
+fn per_ampere(constant: &toml::Value) -> bool {
+    let unit = constant.get("unit").and_then(toml::Value::as_str);
+    unit.is_some_and(|u| u.ends_with("/A"))
+}
+
 /// Gain of a sensor of torque or force of which nothing is said, one sigma relative (assumed): were it free, no torque would be known.
 const TORQUE_GAIN: f64 = 0.01;
 
-pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Result<Rig> {
+/// * `with_current` a signed current is recorded
+pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>, with_current: bool) -> Result<Rig> {
     let kind = s.text("kind", "rotary or linear")?;
     let linear = match kind.as_str() {
         "rotary" => false,
@@ -73,6 +81,13 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Res
         "torque" => BenchChannel::Torque,
         "force" => BenchChannel::Force,
         d => return Err(s.bad("drive", format!("`{d}`"), "current, voltage, torque, force or command")),
+    };
+    // a constant of the motor, not of an amplifier: the voltage is that at the motor's terminals
+    let terminals = drive == BenchChannel::Voltage && s.peek("drive_constant").is_some_and(per_ampere);
+    let drive = if terminals && with_current {
+        BenchChannel::Current
+    } else {
+        drive
     };
     let (mut from_model, mut assumed) = (Vec::new(), Vec::new());
     // of the bench, else of the actuator's file, else a free parameter that begins at `otherwise`
@@ -224,9 +239,20 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Res
     } else {
         None
     };
-    let (mut drive_constant, mut back_emf) = (drive_constant, back_emf);
-    let one_constant = if drive == BenchChannel::Current {
+    let (mut drive_constant, mut back_emf, mut viscous) = (drive_constant, back_emf, viscous);
+    let one_constant = if drive == BenchChannel::Current || terminals && back_emf.value > 0.0 {
         taken_for_one(&mut drive_constant, &mut back_emf)
+    } else {
+        None
+    };
+    let winding = if terminals && !with_current {
+        if resistance.value <= 0.0 {
+            let allowed = "the winding's resistance beside a drive_constant by the ampere, or a channel `current`";
+            return Err(s.bad("resistance", "nothing", allowed));
+        }
+        let winding = Winding::new(drive_constant, back_emf, resistance, inductance.value);
+        (drive_constant, viscous) = (winding.gain(), winding.braked(viscous));
+        Some(winding)
     } else {
         None
     };
@@ -244,6 +270,7 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>) -> Res
         inductance_by_points,
         back_emf,
         one_constant,
+        winding,
         gear_ratio,
         pole_pairs,
         break_away: actuator.map_or(1.0, ActuatorParameters::break_away_ratio),
