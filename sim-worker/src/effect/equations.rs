@@ -110,6 +110,13 @@ pub(super) fn saturation(coefficient: f64, i: f64) -> f64 {
     (1.0 - coefficient * i.abs()).max(0.0)
 }
 
+/// The same by the square of the current.
+#[inline(always)]
+pub(super) fn square_saturation(coefficient: f64, i: f64) -> f64 {
+    let x = coefficient * i;
+    (1.0 - x * x).max(0.0)
+}
+
 /// Share of torque and back-EMF that a saturated flux leaves at the equivalent current [A].
 #[inline(always)]
 pub fn flux_left(coefficient: f64, i: f64) -> f64 {
@@ -319,6 +326,7 @@ impl Effect {
     pub fn saturation(&self, i: f64) -> f64 {
         match (self.kind, self.law) {
             (EffectKind::TorqueSaturation, Law::Flux) => self.flux(i),
+            (EffectKind::TorqueSaturation, Law::Square) => square_saturation(self.values[0], i),
             (EffectKind::TorqueSaturation, _) => saturation(self.values[0], i),
             _ => 1.0,
         }

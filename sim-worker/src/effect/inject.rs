@@ -186,7 +186,10 @@ impl Injection {
                 [a, e.values[1], of_speed]
             }
             EffectKind::TurnShort => e.bridge(&self.constants).unwrap_or_default(),
-            EffectKind::TorqueSaturation => [a, f64::from(u8::from(e.law == Law::Flux)), 0.0],
+            EffectKind::TorqueSaturation => {
+                let is = |law| f64::from(u8::from(e.law == law));
+                [a, is(Law::Flux), is(Law::Square)]
+            }
             _ => e.values,
         }
     }

@@ -145,7 +145,7 @@ effects! {
     TorqueRipple "torque_ripple" Torque ["fraction" "-" 0.0, 1.0; "phase" "rad" -TURN, TURN; "order" "1/turn" 1e-9, 1000.0]
     /// Static eccentricity, Eq. 5 of the paper, per phase, in torque and back-EMF.
     Eccentricity "eccentricity" Torque ["zeta" "-" 0.0, 1.0; "phase" "rad" -TURN, TURN]
-    /// `kt i (1 - beta |i|)`; or `kt i/sqrt(1 + (beta i)^2)`, and so the back-EMF.
+    /// `kt i (1 - beta |i|)`; or `kt i (1 - (beta i)^2)`; or `kt i/sqrt(1 + (beta i)^2)`, and so the back-EMF.
     TorqueSaturation "torque_saturation" Torque ["coefficient" "1/A" 0.0, INF] => SATURATES
     /// `k theta`, from the rest angle.
     SpringLoad "spring_load" Torque ["stiffness" "N m/rad" 0.0, INF]

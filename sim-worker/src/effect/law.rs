@@ -28,6 +28,8 @@ pub enum Law {
     /// (energy; the armature's field stands across the magnets', and iron follows what both add up to: assumed). By the first law the
     /// torque alone falls, by `coefficient |i|`
     Flux,
+    /// of `torque_saturation`: the torque alone falls, by `(coefficient i)^2`
+    Square,
     /// of `presliding`: the bristles break away at the actuator's static friction, and slide at it up to about 2 rad/s (LuGre: Canudas
     /// de Wit, Olsson, Astrom and Lischinsky, IEEE Trans. Automatic Control 40 (1995); the speed assumed). By the first law they slide
     /// at the dynamic friction
@@ -79,7 +81,7 @@ pub(super) const TURNS: LawKey = LawKey {
 pub(super) const SATURATES: LawKey = LawKey {
     name: "saturates",
     elsewhere: "it is in no iron",
-    laws: &[("torque", Law::First), ("flux", Law::Flux)],
+    laws: &[("torque", Law::First), ("square", Law::Square), ("flux", Law::Flux)],
 };
 
 pub(super) const BREAKS_AWAY: LawKey = LawKey {

@@ -486,8 +486,10 @@ impl<const N: usize> LaneEffects<N> {
         let mut left = [1.0; N];
         for s in self.slots.iter().filter(|s| s.kind == EffectKind::TorqueSaturation) {
             for l in 0..N {
-                let coefficient = s.values[0][l] * (1.0 - s.values[1][l]);
-                left[l] *= equations::saturation(coefficient, i[l] / self.amperes[l]);
+                let amperes = i[l] / self.amperes[l];
+                let straight = s.values[0][l] * (1.0 - s.values[1][l] - s.values[2][l]);
+                let square = s.values[0][l] * s.values[2][l];
+                left[l] *= equations::saturation(straight, amperes) * equations::square_saturation(square, amperes);
             }
         }
         for l in 0..N {

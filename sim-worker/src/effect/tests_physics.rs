@@ -181,7 +181,7 @@ fn prop_shares_of_the_torque_constant_are_the_equations_of_the_recorded_signals(
     .map(|(kind, tolerance)| (visible(kind), tolerance))
     .into_iter()
     .chain([0, 1, 2].map(|q| (one(q), 1e-9)))
-    .chain([(visible(TorqueSaturation).by(Law::Flux), 0.1)])
+    .chain([Law::Flux, Law::Square].map(|law| (visible(TorqueSaturation).by(law), 0.1)))
     {
         let kind = e.kind;
         let p = with(std::slice::from_ref(&e));

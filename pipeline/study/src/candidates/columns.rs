@@ -4,6 +4,7 @@
 use crate::candidates::bristles::{STATIC, breaks_away, dahl};
 use crate::candidates::loads::loose;
 use crate::candidates::phases::{BRIDGED, LEGS, of_phases};
+use crate::candidates::shapes::SQUARE;
 use crate::candidates::springs;
 use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants};
@@ -352,7 +353,11 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         EffectKind::Compliance => return springs::contribution(shape, s, c),
         EffectKind::TorqueSaturation => {
             // linear while the torque still rises with the current
-            let mut column = amplitude(&[SMALL]);
+            let mut column = if shape == SQUARE {
+                driven(&Effect::new(kind, &[SMALL.sqrt()]).by(Law::Square), s, c)
+            } else {
+                amplitude(&[SMALL])
+            };
             column
                 .iter_mut()
                 .for_each(|p| p.signal.iter_mut().for_each(|x| *x /= SMALL));
@@ -424,6 +429,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
         EffectKind::SupplySag if shape.first() == Some(&LEGS) => Law::Legs,
         EffectKind::TurnShort if shape.get(1) == Some(&BRIDGED) => Law::Bridged,
         EffectKind::EncoderEccentricity if shape.first().is_some_and(|x| *x > 0.5) => Law::AngleAndSpeed,
+        EffectKind::TorqueSaturation if shape == SQUARE => Law::Square,
         EffectKind::TorqueSaturation if !shape.is_empty() => Law::Flux,
         EffectKind::Presliding if breaks_away(shape) => Law::BreakAway,
         EffectKind::CurrentGain => shape.first().map_or(Law::First, |q| Law::Phase(*q as usize)),
@@ -432,6 +438,7 @@ pub fn effect(kind: EffectKind, shape: &[f64], amplitudes: &[f64], coulomb: f64,
     let values: Vec<f64> = match form(kind) {
         Form::Amplitude if kind == EffectKind::CurrentGain => vec![a(0) / (1.0 - a(0))],
         Form::Amplitude if law == Law::Flux => vec![a(0).max(0.0).sqrt() / shape[0]],
+        Form::Amplitude if law == Law::Square => vec![a(0).max(0.0).sqrt()],
         Form::Amplitude if kind.keys().len() == 1 => vec![a(0)],
         Form::Amplitude if kind == EffectKind::TurnShort => vec![a(0), shape[0]],
         Form::Amplitude => [&[a(0)], shape].concat(),
@@ -454,6 +461,7 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
             (of.into_iter().collect(), vec![v[0] / (1.0 + v[0])])
         }
         Form::Amplitude if e.law == Law::Flux => (vec![1.0 / v[0]], vec![1.0]),
+        Form::Amplitude if e.law == Law::Square => (SQUARE.to_vec(), vec![v[0] * v[0]]),
         Form::Amplitude if e.kind == EffectKind::CurrentOffset => (vec![0.0], vec![v[0]]),
         Form::Amplitude if e.kind == EffectKind::SpringLoad => (vec![], vec![v[0], 0.0]),
         Form::Amplitude if e.kind == EffectKind::SupplySag => {

@@ -120,6 +120,7 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         }
         // the torque alone, or the flux, about the strongest current
         EffectKind::TorqueSaturation if runs.iter().all(|r| r.phases.is_some()) => vec![vec![], vec![strongest(runs)]],
+        EffectKind::TorqueSaturation => vec![vec![], SQUARE.to_vec()],
         EffectKind::TurnShort if runs.iter().all(|r| r.phases.is_some()) => [0.0, 1.0, 2.0]
             .into_iter()
             .flat_map(|q| [vec![q], vec![q, BRIDGED]])
@@ -263,10 +264,16 @@ fn deflected(runs: &[Signals]) -> Option<(f64, f64)> {
     (a > 0.0 && b > 0.0).then(|| (1.0 / b, a / b))
 }
 
+/// Shape of a torque that saturates by the square of the current: the exponent, and that it is one; a flux has one number.
+pub const SQUARE: [f64; 2] = [2.0, 0.0];
+
 /// Whether each of an effect's shape parameters is refined on a logarithmic scale; `None` where it is not refined.
 ///
 /// * `count` of them: some have one only where there are phases
 pub fn scales(kind: EffectKind, count: usize) -> &'static [Option<bool>] {
+    if kind == EffectKind::TorqueSaturation && count == SQUARE.len() {
+        return &[];
+    }
     let all = all_scales(kind);
     &all[..count.min(all.len())]
 }

@@ -33,17 +33,20 @@ impl Material {
         by_motion
     }
 
-    /// A model whose torque saturates, with a flux that does where that tells the data better. A scan sees little of the difference:
+    /// A model whose torque saturates, with a flux that does (without phases: by the square of the current) where that tells the data better. A scan sees little of the difference:
     /// constants turn with the loss of torque, and only where all are solved for again do weak currents say whether they lose any.
     fn by_flux(&self, model: Fit) -> Fit {
         let runs = &self.fit.signals;
-        if runs.iter().any(|s| s.phases.is_none()) {
-            return model;
-        }
+        let phases = runs.iter().all(|s| s.phases.is_some());
+        let other = if phases {
+            vec![shapes::strongest(runs)]
+        } else {
+            shapes::SQUARE.to_vec()
+        };
         let saturated = |t: &mut Term| {
             let by_torque = t.kind == EffectKind::TorqueSaturation && t.shape.is_empty();
             if by_torque {
-                t.shape = vec![shapes::strongest(runs)];
+                t.shape = other.clone();
             }
             by_torque
         };

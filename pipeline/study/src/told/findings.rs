@@ -274,6 +274,7 @@ impl FoundEffect {
                 "the bristles break away at the static friction and slide at it up to about 2 rad/s (assumed)"
             }
             Law::Flux => "the flux saturates, and the back-EMF falls with the torque",
+            Law::Square => "by the square of the current",
             Law::Bridged => {
                 "a contact bridges the turns, whose own current brakes; the fraction is that of a contact without resistance: with one \
                  there are more turns, with the same effect"

@@ -269,6 +269,7 @@ fn term_text(kind: EffectKind, law: Law) -> &'static str {
         EffectKind::TorqueRipple => "kt, ke (1 + fraction cos(order theta + phase))",
         EffectKind::Eccentricity => "Eq. 5 of the paper: k_q (1 + zeta cos(theta + phase + 2 pi q/3))",
         EffectKind::TorqueSaturation if law == Law::Flux => "kt, ke/sqrt(1 + (coefficient i)^2)",
+        EffectKind::TorqueSaturation if law == Law::Square => "kt i (1 - (coefficient i)^2)",
         EffectKind::TorqueSaturation => "kt i (1 - coefficient |i|)",
         EffectKind::SpringLoad => "stiffness theta",
         EffectKind::Compliance => "load mass of this inertia on a spring and damper",
