@@ -51,8 +51,8 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
         Noise::Repeats => from_repeats(spec.channel, runs)
             .unwrap_or_else(|| within_range(estimated(spec.channel, runs), spec.channel, runs)),
         Noise::Estimated => {
-            let found = grain_of(spec.channel, runs);
-            let of_grain = found / 12f64.sqrt();
+            let grain = grain_of(spec.channel, runs).max(spec.resolution);
+            let of_grain = grain / 12f64.sqrt();
             let all = estimated(spec.channel, runs);
             let rms = if of_grain == 0.0 {
                 within_range(all, spec.channel, runs)
@@ -61,7 +61,6 @@ pub fn noise(spec: &ChannelSpec, runs: &[Run]) -> ChannelNoise {
             } else {
                 all
             };
-            let grain = found.max(spec.resolution);
             return ChannelNoise {
                 rms,
                 colour: 0.0,
@@ -258,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn an_angle_over_many_turns_is_known_to_its_count() {
+    fn an_angle_is_known_to_its_count_and_a_current_to_no_less_than_its_noise() {
         let spec = ChannelSpec {
             channel: BenchChannel::Position,
             column: "theta".into(),
@@ -274,6 +273,27 @@ mod tests {
             noise: Noise::Estimated,
             offset: None,
         };
+        // a converter's step is the least that a current has
+        let of_current = ChannelSpec {
+            channel: BenchChannel::Current,
+            resolution: 0.01,
+            ..spec.clone()
+        };
+        let mut state = 5u64;
+        let mut drawn = || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        };
+        for (rms, expected) in [(0.03, 0.03), (0.0, 0.01 / 12f64.sqrt())] {
+            let at = |k: usize| (2e-3 * k as f64).sin() + rms * 12f64.sqrt() * drawn();
+            let x = (0..8000).map(at).map(|x: f64| (x / 0.01).round() * 0.01).collect();
+            let mut current = run(Vec::new());
+            current.channels = BTreeMap::from([(BenchChannel::Current, x)]);
+            let found = noise(&of_current, &[current]).rms;
+            assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
+        }
         for counts in [16384.0, 65536.0] {
             let found = noise(&spec, &[run(angle(counts))]);
             let of_count = TAU / counts / 12f64.sqrt();

@@ -60,6 +60,31 @@ impl Winding {
         Known { value, trust }
     }
 
+    /// The way back: torque constant, resistance, inductance and viscous friction that make a gain and a viscous friction with what
+    /// the back-EMF brakes. Neither tells the constant apart from the resistance: it is what was said, by the gain, unless the back-EMF
+    /// would brake more than all.
+    ///
+    /// * `gain` [N m/V], `viscous` [N m s/rad]
+    pub fn behind(&self, gain: Known, viscous: Known) -> [Known; 4] {
+        const MOST: f64 = 0.98;
+        let by_gain = self.torque_constant.value * gain.value / self.gain().value;
+        let constant = by_gain.min(MOST * viscous.value / gain.value);
+        let resistance = constant / gain.value;
+        let (braking, certain) = (gain.value * constant, Some(0.0));
+        let own = viscous.value - braking;
+        let own_trust = viscous.trust.zip(gain.trust).map(|(v, k)| {
+            let left = (v * viscous.value).powi(2) - (2.0 * k * braking).powi(2);
+            left.max(0.0).sqrt() / own
+        });
+        let known = |value, trust| Known { value, trust };
+        [
+            known(constant, gain.trust),
+            known(resistance, certain),
+            known(self.lag_s() * resistance, certain),
+            known(own, own_trust.map(|t| t.min(10.0))),
+        ]
+    }
+
     /// L/R [s]
     pub fn lag_s(&self) -> f64 {
         self.inductance / self.resistance.value
@@ -143,6 +168,13 @@ mod tests {
         let sd = (2e-3f64 * 0.06f64.hypot(0.04)).hypot(1e-4);
         assert!((viscous.trust.unwrap() * 3e-3 - sd).abs() < 1e-12);
         assert!((winding.lag_s() - 4e-4).abs() < 1e-15);
+        let [constant, resistance, inductance, own] =
+            winding.behind(known(0.021, Some(0.01)), known(3.5e-3, Some(0.1)));
+        let again = Winding::new(constant, known(0.0, None), resistance, inductance.value);
+        let back = again.braked(own);
+        assert!((again.gain().value - 0.021).abs() < 1e-15 && again.gain().trust == Some(0.01));
+        assert!((back.value - 3.5e-3).abs() < 1e-15 && (back.trust.unwrap() - 0.1).abs() < 1e-9);
+        assert!((again.lag_s() - winding.lag_s()).abs() < 1e-15);
         // what is free stays free
         assert_eq!(winding.braked(known(0.0, None)).trust, None);
         assert_eq!(

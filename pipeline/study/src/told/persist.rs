@@ -112,6 +112,45 @@ pub fn rig(bench: &Bench, retuned: &[Identified], effects: &[Effect], source: &s
         _ => "-",
     };
     let plain = |value: f64| Known { value, trust: None };
+    let found = |name: &str, given: Known| match retuned.iter().find(|r| r.name == name) {
+        Some(r) => Known {
+            value: r.value.max(0.0),
+            trust: Some(relative_deviation(r)),
+        },
+        None => given,
+    };
+    // as it was said: of the motor, with what lies before it
+    let winding = rig.winding.map(|w| {
+        let (gain, viscous) = (
+            found("torque_constant", rig.drive_constant),
+            found("viscous", rig.viscous),
+        );
+        w.behind(gain, viscous)
+    });
+    if let Some([constant, resistance, inductance, viscous]) = winding {
+        for (key, unit, k) in [
+            ("drive_constant", "N m/A", constant),
+            ("resistance", "ohm", resistance),
+            ("inductance", "H", inductance),
+            ("viscous", "N m s/rad", viscous),
+        ] {
+            let trust = k.trust.map_or(String::new(), |t| format!(", trust = {t:?}"));
+            let source = toml_section::quoted(&format!(
+                "identified, drive_constant / resistance and viscous with the braking of the back-EMF: {source}"
+            ));
+            out += &format!(
+                "{key} = {{ value = {:?}, unit = \"{unit}\"{trust}, source = {source} }}\n",
+                k.value
+            );
+        }
+    }
+    let said = [
+        "drive_constant",
+        "resistance",
+        "inductance",
+        "viscous",
+        "back_emf_constant",
+    ];
     let constants = [
         ("drive_constant", "torque_constant", rig.drive_constant, of_drive),
         ("inertia", "inertia", rig.inertia, "kg m2"),
@@ -124,6 +163,9 @@ pub fn rig(bench: &Bench, retuned: &[Identified], effects: &[Effect], source: &s
         ("pole_pairs", "", plain(rig.pole_pairs), "-"),
         ("supply_voltage", "", plain(rig.supply_voltage), "V"),
     ];
+    let constants = constants
+        .into_iter()
+        .filter(|c| winding.is_none() || !said.contains(&c.0));
     for (key, name, given, unit) in constants {
         let assumed = rig.assumed.iter().any(|a| a.0 == key);
         let (known, source) = match retuned.iter().find(|r| r.name == name) {

@@ -372,7 +372,8 @@ pub(super) fn channel_spec(t: &mut Section, channel: BenchChannel, rig: &Rig) ->
     };
     let resolution = t.number_or("resolution", 0.0, |x| x >= 0.0, NOT_BELOW)? * size;
     let noise = match t.raw("noise") {
-        None if resolution > 0.0 => Noise::Known(0.0),
+        // an encoder's count is all of its noise; a converter's step is the least of a drive signal's
+        None if resolution > 0.0 && !drive => Noise::Known(0.0),
         None => Noise::Estimated,
         Some(toml::Value::String(s)) if s == "from repeats" => Noise::Repeats,
         Some(v) => match v.as_float().or_else(|| v.as_integer().map(|i| i as f64)) {

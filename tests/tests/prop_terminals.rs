@@ -1,0 +1,172 @@
+//! A motor that is fed by a voltage at its terminals, simulated here: with and without its current beside it.
+
+use ema_study::measured::bench::Bench;
+use ema_study::told::findings::Findings;
+use pipeline::discrepancy::{Request, study_file, study_into};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Torque constant [N m/A], resistance [ohm], inductance [H], inertia [kg m2], viscous [N m s/rad] and dry friction [N m].
+const MOTOR: [f64; 6] = [0.1, 4.0, 0.008, 3e-4, 4e-4, 0.02];
+const RATE_HZ: f64 = 2000.0;
+
+/// A number in (-1, 1) that looks drawn.
+fn drawn(state: &mut u64) -> f64 {
+    *state = state
+        .wrapping_mul(6364136223846793005)
+        .wrapping_add(1442695040888963407);
+    (*state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+}
+
+/// Twelve seconds under three sines of voltage, held over a sample; noise on current and speed, counts of the angle.
+///
+/// * `cogging` amplitude of order 6 [N m]
+fn recording(run: u64, cogging: f64) -> String {
+    let [kt, r, l, j, c, f] = MOTOR;
+    let (mut i, mut w, mut x) = (0.0f64, 0.0f64, 0.0f64);
+    let mut seed = 77 + run;
+    let mut text = String::from("t,theta,omega,i,u\n");
+    const PARTS: usize = 50;
+    let h = 1.0 / RATE_HZ / PARTS as f64;
+    for k in 0..(12.0 * RATE_HZ) as usize {
+        let t = k as f64 / RATE_HZ;
+        let sine = |hz: f64, phase: f64| (std::f64::consts::TAU * hz * t + phase + run as f64).sin();
+        let u = 5.0 * sine(0.31, 0.0) + 4.0 * sine(1.7, 1.0) + 3.0 * sine(23.0, 2.0);
+        let mut mean = 0.0;
+        for _ in 0..PARTS {
+            i += h / l * (u - kt * w - r * i);
+            let free = w + h / j * (kt * i - c * w - cogging * (6.0 * x).cos());
+            let stop = h / j * f;
+            w = if free.abs() <= stop {
+                0.0
+            } else {
+                free - stop * free.signum()
+            };
+            x += h * w;
+            mean += i / PARTS as f64;
+        }
+        let count = std::f64::consts::TAU / 65536.0;
+        let (angle, speed) = ((x / count).round() * count, w + 0.02 * drawn(&mut seed));
+        let (current, voltage) = (mean + 0.005 * drawn(&mut seed), u + 0.01 * drawn(&mut seed));
+        let at = (k + 1) as f64 / RATE_HZ;
+        writeln!(text, "{at},{angle},{speed},{current},{voltage}").unwrap();
+    }
+    text
+}
+
+/// A bench of three such recordings, two to fit and one held out.
+fn bench(dir: &Path, cogging: f64, with_current: bool, rig: &str) -> PathBuf {
+    let mut text = format!(
+        "[rig]\nkind = \"rotary\"\ndrive = \"voltage\"\n{rig}\n[channels]\n\
+         time = {{ column = \"t\", unit = \"s\" }}\n\
+         position = {{ column = \"theta\", unit = \"rad\", resolution = 9.5874e-5 }}\n\
+         velocity = {{ column = \"omega\", unit = \"rad/s\" }}\n\
+         voltage = {{ column = \"u\", unit = \"V\", sampling = \"mean\" }}\n"
+    );
+    if with_current {
+        text += "current = { column = \"i\", unit = \"A\", sampling = \"mean\" }\n";
+    }
+    for (run, role) in ["fit", "fit", "heldout"].iter().enumerate() {
+        std::fs::write(dir.join(format!("{run}.csv")), recording(run as u64, cogging)).unwrap();
+        text += &format!("[[run]]\nfile = \"{run}.csv\"\nrole = \"{role}\"\nhealth = \"healthy\"\n");
+    }
+    let file = dir.join("BENCH.toml");
+    std::fs::write(&file, text).unwrap();
+    file
+}
+
+/// Constants some per cent off.
+const SAID: &str = "drive_constant = { value = 0.102, unit = \"N m/A\", trust = 0.03 }\n\
+    resistance = { value = 4.1, unit = \"ohm\", trust = 0.03 }\ninductance = { value = 0.0078, unit = \"H\", trust = 0.05 }\n\
+    inertia = { value = 3.2e-4, unit = \"kg m2\", trust = 0.1 }\nviscous = { value = 5e-4, unit = \"N m s/rad\", trust = 0.3 }\n\
+    coulomb = { value = 0.022, unit = \"N m\", trust = 0.3 }";
+
+fn request(bench: &Path) -> Request {
+    Request {
+        bench: vec![bench.to_path_buf()],
+        healthy: true,
+        ..Request::default()
+    }
+}
+
+fn names(f: &Findings) -> Vec<&str> {
+    f.effects.iter().map(|e| e.name.as_str()).collect()
+}
+
+#[test]
+fn prop_a_motor_at_its_terminals_is_plain_with_and_without_its_current() {
+    for with_current in [true, false] {
+        let dir = tempfile::tempdir().unwrap();
+        let file = bench(dir.path(), 0.0, with_current, SAID);
+        let out = dir.path().join("study");
+        let w = study_into(&request(&file), &out, &|_| {}).unwrap();
+        let f = &w.findings;
+        assert!(
+            ["none", "retune"].contains(&f.verdict.as_str()) && f.effects.is_empty(),
+            "{with_current}: {} {:?}",
+            f.sentence,
+            names(f)
+        );
+        if with_current {
+            continue;
+        }
+        // a gain, a brake and what the back-EMF takes of neither
+        let [kt, r, _, _, c, _] = MOTOR;
+        for (name, truth) in [("torque_constant", kt / r), ("viscous", c + kt * kt / r)] {
+            let found = f.retuned.iter().find(|r| r.name == name).unwrap();
+            let sd = (found.hi - found.lo) / 3.92;
+            assert!((found.value - truth).abs() < 3.5 * sd, "{name}: {found:?}, {truth}");
+        }
+        assert!(
+            f.assumptions.iter().any(|a| a.contains("back-EMF brakes")),
+            "{:?}",
+            f.assumptions
+        );
+        // the written rig is the same machine
+        let model = std::fs::read_to_string(w.rig.unwrap()).unwrap();
+        let text = std::fs::read_to_string(&file).unwrap();
+        let fresh = file.with_file_name("FRESH.toml");
+        std::fs::write(&fresh, model.clone() + &text[text.find("[channels]").unwrap()..]).unwrap();
+        let (read, before) = (
+            Bench::read(&fresh, None).unwrap().rig,
+            Bench::read(&file, None).unwrap().rig,
+        );
+        let value = |name: &str| f.retuned.iter().find(|r| r.name == name).unwrap().value;
+        assert!(
+            (read.drive_constant.value / value("torque_constant") - 1.0).abs() < 1e-9,
+            "{model}"
+        );
+        assert!((read.viscous.value / value("viscous") - 1.0).abs() < 1e-9, "{model}");
+        let lag = |w: Option<ema_study::measured::winding::Winding>| w.unwrap().lag_s();
+        assert!((lag(read.winding) / lag(before.winding) - 1.0).abs() < 1e-9);
+        let again = study_file(&request(&fresh), &|_| {}).unwrap();
+        assert!(again.effects.is_empty(), "{}", again.sentence);
+    }
+}
+
+#[test]
+fn prop_what_hides_in_a_motor_at_its_terminals_is_named() {
+    for with_current in [true, false] {
+        let dir = tempfile::tempdir().unwrap();
+        let f = study_file(&request(&bench(dir.path(), 0.004, with_current, SAID)), &|_| {}).unwrap();
+        assert_eq!(names(&f), ["cogging"], "{with_current}: {}", f.sentence);
+        let amplitude = &f.effects[0].parameters[0];
+        assert!((amplitude.value / 0.004 - 1.0).abs() < 0.1, "{amplitude:?}");
+    }
+}
+
+#[test]
+fn prop_a_winding_without_a_resistance_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let without: String = SAID
+        .lines()
+        .filter(|l| !l.starts_with("resistance"))
+        .collect::<Vec<_>>()
+        .join("\n");
+    let file = bench(dir.path(), 0.0, false, &without);
+    let e = Bench::read(&file, None).unwrap_err().to_string();
+    assert!(e.contains("resistance") && e.contains("a channel `current`"), "{e}");
+    // with the current nobody needs it
+    let file = bench(dir.path(), 0.0, true, &without);
+    assert!(Bench::read(&file, None).unwrap().rig.winding.is_none());
+}
