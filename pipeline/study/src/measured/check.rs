@@ -234,31 +234,25 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
     Ok(())
 }
 
-/// A straight fit of inertia, viscous and dry friction, a constant and perhaps a spring to smoothed signals.
+/// A straight fit of inertia, viscous and dry friction and a constant to smoothed signals.
 struct Straight {
     /// coefficients of the terms
-    x: nalgebra::Vector5<f64>,
+    x: nalgebra::Vector4<f64>,
     /// products of the terms
-    g: nalgebra::Matrix5<f64>,
+    g: nalgebra::Matrix4<f64>,
     /// of the torque
     energy: f64,
-    /// of what the terms leave of it
-    left: f64,
 }
-
-/// Where a spring leaves at most this share of what is left without one, the rig has one (assumed).
-const SPRUNG: f64 = 0.3;
 
 /// * `corner` of the smoothing, as a share of the sampling rate
 /// * `scale` of the terms of inertia, viscous and dry friction
-/// * `sprung` with a torque that goes with the position, where that is recorded
 ///
 /// `None` where a channel is missing or the fit has no solution.
-fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3], sprung: bool) -> Option<Straight> {
+fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3]) -> Option<Straight> {
     use BenchChannel as C;
     let rig = &bench.rig;
-    let mut g = nalgebra::Matrix5::<f64>::zeros();
-    let mut r = nalgebra::Vector5::<f64>::zeros();
+    let mut g = nalgebra::Matrix4::<f64>::zeros();
+    let mut r = nalgebra::Vector4::<f64>::zeros();
     let mut energy = 0.0;
     for run in runs {
         let smooth = FilterBank::new(corner * run.rate_hz, run.rate_hz, 0.0);
@@ -268,7 +262,6 @@ fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3], sprung: 
             (None, Some(w)) => (smooth.whole(0, w), smooth.whole(1, w)),
             _ => return None,
         };
-        let place = run.channel(C::Position).filter(|_| sprung).map(|x| smooth.whole(0, x));
         let load = run.channel(C::Load).map(|x| smooth.whole(0, x));
         let fastest = w.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
         // moving clearly: friction has its sign, and standing samples tell nothing; nothing was measured in a gap
@@ -278,24 +271,22 @@ fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3], sprung: 
             around.into_iter().any(|l| *l)
         };
         for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest && !near_gap(k)) {
-            let spring = place.as_ref().map_or(0.0, |x| x[k]);
-            let x = nalgebra::Vector5::new(a[k] * scale[0], w[k] * scale[1], w[k].signum() * scale[2], 1.0, spring);
+            let x = nalgebra::Vector4::new(a[k] * scale[0], w[k] * scale[1], w[k].signum() * scale[2], 1.0);
             let y = u[k] * rig.drive_constant.value - load.as_ref().map_or(0.0, |l| l[k]);
             g += x * x.transpose();
             r += x * y;
             energy += y * y;
         }
     }
-    let norm = nalgebra::Vector5::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
-    let unit = nalgebra::Matrix5::from_fn(|i, j| g[(i, j)] / (norm[i] * norm[j]) + if i == j { 1e-9 } else { 0.0 });
+    let norm = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
+    let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (norm[i] * norm[j]) + if i == j { 1e-9 } else { 0.0 });
     let x = unit.cholesky()?.solve(&r.component_div(&norm)).component_div(&norm);
-    let left = (energy - 2.0 * x.dot(&r) + x.dot(&(g * x))).max(0.0);
-    Some(Straight { x, g, energy, left })
+    Some(Straight { x, g, energy })
 }
 
 /// Inertia, viscous and dry friction of nobody's knowledge: a place to begin.
 pub fn rough(bench: &Bench, runs: &[&Run]) -> Option<[f64; 3]> {
-    let fit = straight(bench, runs, WIDE, [1.0; 3], false)?;
+    let fit = straight(bench, runs, WIDE, [1.0; 3])?;
     Some([fit.x[0], fit.x[1], fit.x[2]])
 }
 
@@ -327,12 +318,9 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
         return Err(Error::bad(&run.name, "channels", found, "one of them"));
     }
     let scale = [rig.inertia.value, rig.viscous.value, rig.coulomb.value].map(|x| x.max(1e-12));
-    let Some(plain) = straight(bench, runs, corner, scale, false) else {
+    let Some(Straight { x, g, energy }) = straight(bench, runs, corner, scale) else {
         return Ok(None);
     };
-    // a stiff spring swings the other way than an inertia does
-    let sprung = straight(bench, runs, corner, scale, true).filter(|s| s.left < SPRUNG * plain.left);
-    let Straight { x, g, energy, .. } = sprung.unwrap_or(plain);
     // share of the torque's energy that the inertia term makes: too little tells nothing
     let inertial = x[0] * x[0] * g[(0, 0)] / energy.max(1e-300);
     let frictional = x[2] * x[2] * g[(2, 2)] / energy.max(1e-300);
