@@ -3,6 +3,8 @@
 use ema_study::measured::bench::Bench;
 use ema_study::told::findings::Findings;
 use pipeline::discrepancy::{Request, study_file, study_into};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -10,21 +12,14 @@ use std::path::{Path, PathBuf};
 const MOTOR: [f64; 6] = [0.1, 4.0, 0.008, 3e-4, 4e-4, 0.02];
 const RATE_HZ: f64 = 2000.0;
 
-/// A number in (-1, 1) that looks drawn.
-fn drawn(state: &mut u64) -> f64 {
-    *state = state
-        .wrapping_mul(6364136223846793005)
-        .wrapping_add(1442695040888963407);
-    (*state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-}
-
 /// Twelve seconds under three sines of voltage, held over a sample; noise on current and speed, counts of the angle.
 ///
 /// * `cogging` amplitude of order 6 [N m]
 fn recording(run: u64, cogging: f64) -> String {
     let [kt, r, l, j, c, f] = MOTOR;
     let (mut i, mut w, mut x) = (0.0f64, 0.0f64, 0.0f64);
-    let mut seed = 77 + run;
+    let mut rng = ChaCha8Rng::seed_from_u64(77 + run);
+    let mut drawn = || rng.random_range(-1.0..1.0);
     let mut text = String::from("t,theta,omega,i,u\n");
     const PARTS: usize = 50;
     let h = 1.0 / RATE_HZ / PARTS as f64;
@@ -46,8 +41,8 @@ fn recording(run: u64, cogging: f64) -> String {
             mean += i / PARTS as f64;
         }
         let count = std::f64::consts::TAU / 65536.0;
-        let (angle, speed) = ((x / count).round() * count, w + 0.02 * drawn(&mut seed));
-        let (current, voltage) = (mean + 0.005 * drawn(&mut seed), u + 0.01 * drawn(&mut seed));
+        let (angle, speed) = ((x / count).round() * count, w + 0.02 * drawn());
+        let (current, voltage) = (mean + 0.005 * drawn(), u + 0.01 * drawn());
         let at = (k + 1) as f64 / RATE_HZ;
         writeln!(text, "{at},{angle},{speed},{current},{voltage}").unwrap();
     }

@@ -8,8 +8,8 @@ use crate::candidates::shapes::SQUARE;
 use crate::candidates::springs;
 use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants};
-use crate::equations::samples::{rate_of, shifted};
 use crate::equations::signals::Signals;
+use crate::measured::samples::{rate_of, shifted};
 use sim_worker::effect::{self, Effect, EffectKind, Equation, Law};
 use std::f64::consts::{FRAC_PI_2, TAU};
 

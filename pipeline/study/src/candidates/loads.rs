@@ -1,7 +1,7 @@
 //! Loads behind a play or a spring, driven by the motor's measured motion or by its torque.
 
-use crate::equations::samples::between;
 use crate::equations::signals::Signals;
+use crate::measured::samples::between;
 use nalgebra::{Matrix3, Vector3};
 
 /// A load that the motor pushes through a gap of half-width `half`: its angle and speed. Let go, it is slowed down by its own friction.

@@ -3,8 +3,8 @@
 use crate::candidates::columns::{Contribution, drive};
 use crate::candidates::loads::{Shaken, Spring, released};
 use crate::equations::pieces::{Column, Piece, RigConstants, wide};
-use crate::equations::samples::sharpened;
 use crate::equations::signals::Signals;
+use crate::measured::samples::sharpened;
 use sim_worker::effect::Equation;
 
 /// Fourth shape parameter of a spring that the torque drives, not the measured motion.

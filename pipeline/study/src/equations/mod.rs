@@ -7,6 +7,5 @@ pub mod phases;
 pub mod pieces;
 pub mod problem;
 mod residuals;
-pub mod samples;
 pub mod signals;
 pub mod whitener;

@@ -114,15 +114,11 @@ pub fn nuisances(bench: &Bench, runs: &[Run], noise: &NoiseTable, equations: &[E
     if bench.channel(BenchChannel::Load).is_some() {
         drive_constant.trust = drive_constant.trust.map(|t| t.hypot(SENSOR_GAIN));
     }
-    let of_drive = match rig.drive {
-        BenchChannel::Voltage => "N m/V",
-        _ => "N m/A",
-    };
     let mut out = vec![
         machine("inertia", &rig.inertia, "kg m2"),
         machine("viscous", &rig.viscous, "N m s/rad"),
         machine("coulomb", &rig.coulomb, "N m"),
-        machine("torque_constant", &drive_constant, of_drive),
+        machine("torque_constant", &drive_constant, rig.constant_unit()),
     ];
     if rig.offset != 0.0 {
         let offset = Known {

@@ -2,10 +2,10 @@
 
 use crate::equations::clock::Clock;
 use crate::equations::pieces::true_angle;
-use crate::equations::samples::shifted;
 use crate::equations::signals::Signals;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::recording::{self, Run};
+use crate::measured::samples::shifted;
 use sim_worker::effect;
 
 /// Place of the supply among the phases' equations.

@@ -9,11 +9,11 @@ use crate::equations::mechanics::{Mechanics, mechanics};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::phases::{self, SUPPLY};
 use crate::equations::pieces::Column;
-use crate::equations::samples;
 use crate::equations::signals::{self, Signals};
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{Run, extent};
+use crate::measured::samples;
 use sim_worker::effect::Equation;
 use std::ops::Range;
 

@@ -4,11 +4,11 @@
 use crate::equations::clock::{Clock, NoiseTable};
 use crate::equations::phases::Phases;
 use crate::equations::pieces::true_angle;
-use crate::equations::samples::{sharp, shifted};
 use crate::measured::bench::{Bench, BenchChannel, ControllerLaw};
 use crate::measured::filter::FilterBank;
 use crate::measured::noise;
 use crate::measured::recording::{self, Run};
+use crate::measured::samples::{sharp, shifted};
 use sim_worker::effect::Play;
 
 /// A sample is at rest below so many standard deviations of the smoothed speed.

@@ -237,6 +237,17 @@ pub enum Role {
     Off,
 }
 
+impl Rig {
+    /// Unit of the drive constant.
+    pub fn constant_unit(&self) -> &'static str {
+        match self.drive {
+            BenchChannel::Current => "N m/A",
+            BenchChannel::Voltage => "N m/V",
+            _ => "-",
+        }
+    }
+}
+
 impl Role {
     pub fn name(self) -> &'static str {
         match self {

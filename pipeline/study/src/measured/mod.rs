@@ -9,5 +9,6 @@ pub mod own;
 mod points;
 pub mod recording;
 pub(crate) mod rows;
+pub mod samples;
 pub mod sums;
 pub mod winding;

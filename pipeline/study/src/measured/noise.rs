@@ -210,6 +210,8 @@ fn from_repeats(channel: BenchChannel, runs: &[Run]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
     use std::collections::BTreeMap;
     use std::f64::consts::TAU;
 
@@ -279,13 +281,8 @@ mod tests {
             resolution: 0.01,
             ..spec.clone()
         };
-        let mut state = 5u64;
-        let mut drawn = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
-        };
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut drawn = || rng.random::<f64>() - 0.5;
         for (rms, expected) in [(0.03, 0.03), (0.0, 0.01 / 12f64.sqrt())] {
             let at = |k: usize| (2e-3 * k as f64).sin() + rms * 12f64.sqrt() * drawn();
             let x = (0..8000).map(at).map(|x: f64| (x / 0.01).round() * 0.01).collect();

@@ -3,6 +3,7 @@
 use crate::measured::bench::{Bench, BenchChannel, Known, Noise};
 use crate::measured::noise::noise;
 use crate::measured::recording::Run;
+use crate::measured::samples::rate_of;
 
 /// A winding that is fed by a voltage of which no current is recorded; SI, motor side.
 ///
@@ -97,7 +98,8 @@ impl Winding {
 fn lagged(x: &[f64], tau_s: f64, step_s: f64, mean: bool) -> Vec<f64> {
     let kept = (-step_s / tau_s).exp();
     let share = (1.0 - kept) * tau_s / step_s;
-    let (mut state, mut before) = (x[0], x[0]);
+    let first = x.first().copied().unwrap_or(0.0);
+    let (mut state, mut before) = (first, first);
     x.iter()
         .map(|&u| {
             let was = state;
@@ -130,12 +132,7 @@ pub fn feed(bench: &mut Bench, runs: &mut [Run]) {
         let Some(mut drive) = run.channel(C::Voltage).map(|u| lagged(u, tau, step, spec.mean)) else {
             continue;
         };
-        let slope = |x: &[f64]| -> Vec<f64> {
-            let last = x.len() - 1;
-            let at = |k: usize| (x[(k + 1).min(last)] - x[k.saturating_sub(1)]) * run.rate_hz;
-            let ends = |k: usize| if k == 0 || k == last { 1.0 } else { 0.5 };
-            (0..x.len()).map(|k| ends(k) * at(k)).collect()
-        };
+        let slope = |x: &[f64]| rate_of(x, run.rate_hz).collect();
         let speed = run.channel(C::Velocity).map(<[f64]>::to_vec);
         if let Some(mut w) = speed.or_else(|| run.channel(C::Position).map(slope)) {
             if spec.mean {

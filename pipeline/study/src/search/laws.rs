@@ -11,7 +11,7 @@ use sim_worker::effect::{EffectKind, Equation};
 impl Material {
     /// A model with each law that another stands for and that tells the data better.
     pub(super) fn by_other_laws(&self, model: Fit) -> Fit {
-        self.by_break_away(self.by_flux(self.by_motion(model)))
+        self.by_break_away(self.by_another_iron(self.by_motion(model)))
     }
 
     /// A model whose springs were found by the torque, with these driven by the measured motion where that tells the data better: the
@@ -33,9 +33,9 @@ impl Material {
         by_motion
     }
 
-    /// A model whose torque saturates, with a flux that does (without phases: by the square of the current) where that tells the data better. A scan sees little of the difference:
-    /// constants turn with the loss of torque, and only where all are solved for again do weak currents say whether they lose any.
-    fn by_flux(&self, model: Fit) -> Fit {
+    /// A model whose torque saturates, with a flux that does (without phases: by the square of the current) where that tells the
+    /// data better. A scan sees little of the difference: constants turn with the loss of torque, and only where all are solved for again do weak currents say whether they lose any.
+    fn by_another_iron(&self, model: Fit) -> Fit {
         let runs = &self.fit.signals;
         let phases = runs.iter().all(|s| s.phases.is_some());
         let other = if phases {

@@ -1,12 +1,13 @@
 //! The effect enters the actuator's file: constants and `[[effect]]` tables with intervals and
 //! provenance. What a study did not touch stays as it was, comments too.
 
-use crate::measured::bench::{Bench, BenchChannel, Known};
+use crate::measured::bench::{Bench, Known};
 use crate::told::findings::{FoundEffect, Identified};
 use schemas::error::{Error, Result};
 use schemas::toml_section;
 use sim_worker::effect::{Effect, EffectKind, NORMAL_95, Note};
 use sim_worker::parameters::{ActuatorParameters, Uncertainty};
+use std::collections::BTreeMap;
 
 /// Relative standard deviation that no constant is known better than (assumed): the equations are not the machine.
 const LEAST_DEVIATION: f64 = 5e-4;
@@ -106,51 +107,28 @@ pub fn rig(bench: &Bench, retuned: &[Identified], effects: &[Effect], source: &s
     if let Some(lead) = rig.lead {
         out += &format!("lead_m_per_turn = {:?}\n", lead * std::f64::consts::TAU);
     }
-    let of_drive = match rig.drive {
-        BenchChannel::Current => "N m/A",
-        BenchChannel::Voltage => "N m/V",
-        _ => "-",
-    };
     let plain = |value: f64| Known { value, trust: None };
-    let found = |name: &str, given: Known| match retuned.iter().find(|r| r.name == name) {
-        Some(r) => Known {
-            value: r.value.max(0.0),
-            trust: Some(relative_deviation(r)),
-        },
-        None => given,
+    let identified = |name: &str| {
+        let found = retuned.iter().find(|r| r.name == name)?;
+        Some(Known {
+            value: found.value.max(0.0),
+            trust: Some(relative_deviation(found)),
+        })
     };
     // as it was said: of the motor, with what lies before it
-    let winding = rig.winding.map(|w| {
-        let (gain, viscous) = (
-            found("torque_constant", rig.drive_constant),
-            found("viscous", rig.viscous),
-        );
-        w.behind(gain, viscous)
+    let behind = rig.winding.map(|w| {
+        let gain = identified("torque_constant").unwrap_or(rig.drive_constant);
+        let viscous = identified("viscous").unwrap_or(rig.viscous);
+        ["drive_constant", "resistance", "inductance", "viscous"]
+            .into_iter()
+            .zip(w.behind(gain, viscous))
     });
-    if let Some([constant, resistance, inductance, viscous]) = winding {
-        for (key, unit, k) in [
-            ("drive_constant", "N m/A", constant),
-            ("resistance", "ohm", resistance),
-            ("inductance", "H", inductance),
-            ("viscous", "N m s/rad", viscous),
-        ] {
-            let trust = k.trust.map_or(String::new(), |t| format!(", trust = {t:?}"));
-            let source = toml_section::quoted(&format!(
-                "identified, drive_constant / resistance and viscous with the braking of the back-EMF: {source}"
-            ));
-            out += &format!(
-                "{key} = {{ value = {:?}, unit = \"{unit}\"{trust}, source = {source} }}\n",
-                k.value
-            );
-        }
-    }
-    let said = [
-        "drive_constant",
-        "resistance",
-        "inductance",
-        "viscous",
-        "back_emf_constant",
-    ];
+    let motors: BTreeMap<&str, Known> = behind.into_iter().flatten().collect();
+    let of_drive = if motors.is_empty() {
+        rig.constant_unit()
+    } else {
+        "N m/A"
+    };
     let constants = [
         ("drive_constant", "torque_constant", rig.drive_constant, of_drive),
         ("inertia", "inertia", rig.inertia, "kg m2"),
@@ -163,17 +141,16 @@ pub fn rig(bench: &Bench, retuned: &[Identified], effects: &[Effect], source: &s
         ("pole_pairs", "", plain(rig.pole_pairs), "-"),
         ("supply_voltage", "", plain(rig.supply_voltage), "V"),
     ];
-    let constants = constants
-        .into_iter()
-        .filter(|c| winding.is_none() || !said.contains(&c.0));
     for (key, name, given, unit) in constants {
         let assumed = rig.assumed.iter().any(|a| a.0 == key);
-        let (known, source) = match retuned.iter().find(|r| r.name == name) {
-            Some(r) => {
-                let value = r.value.max(0.0);
-                let trust = Some(relative_deviation(r));
-                (Known { value, trust }, format!("identified: {source}"))
+        let (known, source) = match motors.get(key).copied().or_else(|| identified(name)) {
+            Some(known) if motors.contains_key(key) => {
+                let what = "drive_constant / resistance and viscous with the braking of the back-EMF";
+                (known, format!("identified, {what}: {source}"))
             }
+            Some(known) => (known, format!("identified: {source}")),
+            // the winding's is the drive constant
+            None if !motors.is_empty() && key == "back_emf_constant" => continue,
             // its own value is that of the drive constant
             None if assumed && (key == "back_emf_constant" || !(given.value > 0.0 && given.value.is_finite())) => {
                 out += &format!("# {key}: neither said nor seen\n");

@@ -3,11 +3,11 @@
 use super::{Problem, over};
 use crate::equations::nuisances::{Nuisance, SENSOR_OFFSET_OF_RANGE};
 use crate::equations::pieces::{Column, Piece, wide};
-use crate::equations::samples::moved;
 use crate::equations::whitener::Rows;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{Run, range};
+use crate::measured::samples::moved;
 use sim_worker::effect::Equation;
 
 impl Problem {
