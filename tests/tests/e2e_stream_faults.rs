@@ -369,25 +369,38 @@ fn e2e_soak_of_a_few_kills() {
     }
 }
 
+/// When a mute diagnoser is there.
+#[derive(Clone, Copy, PartialEq)]
+enum Mute {
+    /// killed after its last answer: the frames are read, the diagnosis never comes
+    UntilEnd,
+    Always,
+    /// a subscriber like others while the run begins, a diagnoser from its first samples on
+    FromSamples,
+}
+
 /// A subscriber that answers everything, and calls itself a diagnoser without ever giving a diagnosis.
-fn mute_diagnoser(domain: &TestDomain, until_end: bool) -> std::thread::JoinHandle<()> {
+fn mute_diagnoser(domain: &TestDomain, mute: Mute) -> std::thread::JoinHandle<()> {
     use schemas::stream::diagnosis::DiagnosisPublisher;
     use schemas::stream::frame::{END, SAMPLES};
     use schemas::stream::subscriber::Subscriber;
     let domain = domain.open();
     let subscriber = Subscriber::open(&domain).unwrap();
-    let diagnoses = DiagnosisPublisher::open(&domain, subscriber.node()).unwrap();
+    let diagnoser = move |s: &Subscriber| DiagnosisPublisher::open(&domain, s.node()).unwrap();
+    let mut diagnoses = (mute != Mute::FromSamples).then(|| diagnoser(&subscriber));
     std::thread::spawn(move || {
         let (start, mut frames) = (std::time::Instant::now(), 0);
         while start.elapsed() < LIMIT {
             while let Some(f) = subscriber.receive().unwrap() {
                 let h = *f.header();
                 match h.kind {
-                    SAMPLES => frames += 1,
+                    SAMPLES => {
+                        frames += 1;
+                        diagnoses.get_or_insert_with(|| diagnoser(&subscriber));
+                    }
                     _ => subscriber.answer(&h, frames).unwrap(),
                 }
-                if h.kind == END && until_end {
-                    // killed after the last answer: the frames are read, the diagnosis never comes
+                if h.kind == END && mute == Mute::UntilEnd {
                     std::thread::sleep(Duration::from_millis(300));
                     drop(diagnoses);
                     return;
@@ -412,7 +425,7 @@ fn e2e_received_is_not_diagnosed() {
     };
     // the diagnoser goes after the last answer
     let domain = TestDomain::default();
-    let mute = mute_diagnoser(&domain, true);
+    let mute = mute_diagnoser(&domain, Mute::UntilEnd);
     let (code, errors, _) = replayed(&domain, &[]);
     assert_eq!(code, Some(3), "{errors}");
     assert!(
@@ -422,13 +435,19 @@ fn e2e_received_is_not_diagnosed() {
     assert_eq!(errors.lines().count(), 1, "{errors}");
     mute.join().unwrap();
     // it stays, and says nothing
-    let mute = mute_diagnoser(&domain, false);
+    let mute = mute_diagnoser(&domain, Mute::Always);
     let (code, errors, _) = replayed(&domain, &["--diagnosis-wait", "0.5"]);
     assert_eq!(code, Some(3), "{errors}");
     assert!(errors.contains("no final diagnosis within 0.5 s"), "{errors}");
     mute.join().unwrap();
+    // it comes when another subscriber has let the run begin: it is not waited for as one that knows of it
+    let mute = mute_diagnoser(&domain, Mute::FromSamples);
+    let (code, errors, _) = replayed(&domain, &[]);
+    assert_eq!(code, Some(3), "{errors}");
+    assert!(errors.contains("the diagnoser came when the run had begun"), "{errors}");
+    mute.join().unwrap();
     // nobody asked
-    let mute = mute_diagnoser(&domain, false);
+    let mute = mute_diagnoser(&domain, Mute::Always);
     let (code, errors, lines) = replayed(&domain, &["--diagnosis", "off"]);
     assert_eq!(code, Some(0), "{errors}");
     assert!(lines[0].ends_with("received by 1"), "{lines:?}");

@@ -43,7 +43,7 @@ impl Verdict {
 /// Longest time between two looks whether a diagnoser is alive.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// How long a diagnoser that came in the place of another is listened to.
+/// How long a diagnoser that came after the stream had begun is listened to.
 const SUCCESSION: Duration = Duration::from_secs(2);
 
 /// Listens to the final diagnoses of one stream at a time.
@@ -122,15 +122,16 @@ impl Jury {
             let now = self.diagnoses.publishers();
             let alive = now.len();
             self.seen |= alive > 0;
-            // who has come in the place of another knows nothing of the stream's beginning, and may say nothing of it
-            let is_replaced = !self.there.is_empty() && !now.iter().any(|d| self.there.contains(d));
+            // who has come since, in the place of another or the first, knows nothing of the stream's beginning, and may say
+            // nothing of it: any subscriber's answer begins a stream
+            let came_late = alive > 0 && !now.iter().any(|d| self.there.contains(d));
             let left = patience.saturating_sub(start.elapsed());
             // whatever a diagnoser said before it died is here now
             self.listen(if alive > 0 { left.min(LOOK) } else { Duration::ZERO })?;
             match self.best() {
                 Some(Verdict::Incomplete(_)) if self.finals.len() < alive && !left.is_zero() && go_on() => {}
                 Some(verdict) => return Ok(verdict),
-                None if alive == 0 || (is_replaced && start.elapsed() > SUCCESSION) => return Ok(self.nobody()),
+                None if alive == 0 || (came_late && start.elapsed() > SUCCESSION) => return Ok(self.nobody()),
                 None if left.is_zero() || !go_on() => {
                     let s = start.elapsed().as_secs_f64();
                     return Ok(Verdict::Missing(format!("no final diagnosis within {s:.1} s")));
@@ -141,10 +142,11 @@ impl Jury {
     }
 
     fn nobody(&self) -> Verdict {
-        match (self.seen, self.required) {
-            (true, _) => Verdict::Missing("the diagnoser has gone without a final diagnosis".into()),
-            (false, true) => Verdict::Missing("no diagnoser in this domain".into()),
-            (false, false) => Verdict::NobodyThere,
+        match (self.seen, self.there.is_empty(), self.required) {
+            (true, true, _) => Verdict::Missing("the diagnoser came when the run had begun".into()),
+            (true, false, _) => Verdict::Missing("the diagnoser has gone without a final diagnosis".into()),
+            (false, _, true) => Verdict::Missing("no diagnoser in this domain".into()),
+            (false, _, false) => Verdict::NobodyThere,
         }
     }
 }
