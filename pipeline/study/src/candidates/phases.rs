@@ -1,45 +1,42 @@
 //! Effects that three measured phases tell apart: what each would add to the torque and to the equations of the phases.
 
 use crate::candidates::columns::drive;
-use crate::equations::phases::{Phases, SUPPLY};
+use crate::equations::phases::{Of, Phases, SUPPLY};
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::Signals;
 use sim_worker::effect::{self, EffectKind, Equation};
 use std::f64::consts::TAU;
 
-/// What the phases make of an effect that changes their constants: amplitudes' columns of torque and phase voltages.
+/// What the phases make of effects that change their constants: of each, its columns of torque and phase voltages.
 ///
-/// * `share` of phase `q` at an angle, of its torque and back-EMF constant
-fn phased(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(usize, f64) -> f64) -> Column {
+/// * `share` of each phase at an angle, of its torque and back-EMF constant; a column for each effect
+fn phased<const N: usize>(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(f64) -> Of<N>) -> Vec<Column> {
     let ke = 0.5 * c.effect.torque_constant;
-    let mut torque = vec![0.0; s.n];
-    let mut column = Vec::new();
-    for q in 0..3 {
-        let shape = p.mean_over_support(s, q, |theta, trap| trap * share(q, theta));
-        for k in 0..s.n {
-            // what the phase gives is not asked of the drive
-            torque[k] -= ke * p.current[q][k] * shape[k];
-        }
-        if p.voltage.is_some() {
-            let whole = p.swept(s, |theta| {
-                effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64) * share(q, theta)
-            });
-            let signal = whole.iter().map(|x| ke * x).collect();
-            column.push(Piece {
+    let trap = |q: usize, theta: f64| effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64);
+    let means = p.shaped(s, &share);
+    let whole = p.voltage.as_ref().map(|_| {
+        p.swept(s, |theta| {
+            let mut of = share(theta);
+            (0..3).for_each(|q| of.row_mut(q).scale_mut(trap(q, theta)));
+            of
+        })
+    });
+    let of = |i: usize| -> Column {
+        let volts = |q: usize| {
+            let whole = whole.as_ref()?;
+            Some(Piece {
                 equation: Equation::Electrical,
                 order: 0,
-                signal,
+                signal: whole.iter().map(|x| ke * x[(q, i)]).collect(),
                 phase: Some(q),
-            });
-        }
-    }
-    column.push(Piece {
-        equation: Equation::Torque,
-        order: 0,
-        signal: torque,
-        phase: None,
-    });
-    column
+            })
+        };
+        // what the phases give is not asked of the drive
+        let given = |k: usize| (0..3).fold(0.0, |t, q| t - ke * p.current[q][k] * means[k][(q, i)]);
+        let torque = Piece::of(Equation::Torque, 0, (0..s.n).map(given).collect());
+        (0..3).filter_map(volts).chain([torque]).collect()
+    };
+    (0..N).map(of).collect()
 }
 
 /// Shape of a source whose voltage goes by the size of the legs' current; what is less goes by power.
@@ -85,19 +82,22 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
     Some(match kind {
         // the second column is the first a quarter of a turn later, as [`super::columns::effect`] takes it
         EffectKind::Eccentricity => {
-            let at = |q: usize, theta: f64| theta + TAU / 3.0 * q as f64;
-            vec![
-                phased(s, p, c, |q, t| at(q, t).cos()),
-                phased(s, p, c, |q, t| at(q, t).sin()),
-            ]
+            let of = |theta: f64, q: usize, i: usize| {
+                let at = theta + TAU / 3.0 * q as f64;
+                if i == 0 { at.cos() } else { at.sin() }
+            };
+            phased(s, p, c, |theta| Of::<2>::from_fn(|q, i| of(theta, q, i)))
         }
-        EffectKind::TorqueRipple => vec![
-            phased(s, p, c, |_, t| (shape[0] * t).cos()),
-            phased(s, p, c, |_, t| (shape[0] * t).sin()),
-        ],
+        EffectKind::TorqueRipple => phased(s, p, c, |theta| {
+            let (sin, cos) = (shape[0] * theta).sin_cos();
+            Of::<2>::from_fn(|_, i| if i == 0 { cos } else { sin })
+        }),
         EffectKind::TurnShort => {
             let short = shape[0] as usize;
-            let mut column = phased(s, p, c, |q, _| if q == short { -1.0 } else { 0.0 });
+            let mut columns = phased(s, p, c, |_| {
+                Of::<1>::from_fn(|q, _| if q == short { -1.0 } else { 0.0 })
+            });
+            let column = &mut columns[0];
             column.extend(less(short));
             if shape.get(1) == Some(&BRIDGED) {
                 // by the back-EMF of the bridged turns, whose current is as large as theirs over their resistance
@@ -107,7 +107,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
                 let signal = squared.iter().map(|x| ke * ke / r * x).collect();
                 column.push(Piece::of(Equation::Torque, 0, signal));
             }
-            vec![column]
+            columns
         }
         // amplitude 1: what an iron takes that saturates about this current; a weak saturation is a part of that
         EffectKind::TorqueSaturation if !shape.is_empty() => {

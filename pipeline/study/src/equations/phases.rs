@@ -6,7 +6,12 @@ use crate::equations::signals::Signals;
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::recording::{self, Run};
 use crate::measured::samples::shifted;
+use nalgebra::{SMatrix, Vector3};
 use sim_worker::effect;
+use std::ops::{Add, Div, Mul};
+
+/// Functions of the angle, of each of three phases.
+pub type Of<const N: usize> = SMatrix<f64, 3, N>;
 
 /// Place of the supply among the phases' equations.
 pub const SUPPLY: usize = 3;
@@ -153,7 +158,7 @@ impl Phases {
     }
 
     /// Mean over each sample of a function of the angle times the speed [rad/s].
-    pub fn swept(&self, s: &Signals, f: impl Fn(f64) -> f64) -> Vec<f64> {
+    pub fn swept<T: Mean>(&self, s: &Signals, f: impl Fn(f64) -> T) -> Vec<T> {
         match &self.edges {
             Some(edges) => edges
                 .windows(2)
@@ -166,7 +171,7 @@ impl Phases {
     /// Part of a sample in which each phase conducts, by its sign.
     pub fn conducting(&self, s: &Signals, k: usize) -> [f64; 3] {
         let way = self.way(s, k);
-        std::array::from_fn(|q| along(way, |theta| effect::conducting(theta, self.pole_pairs)[q]))
+        along(way, |theta| Vector3::from(effect::conducting(theta, self.pole_pairs))).into()
     }
 
     /// Size of the current that two phases carry, whatever its sign [A].
@@ -195,6 +200,15 @@ impl Phases {
             })
             .collect()
     }
+
+    /// Mean over each sample, of each phase as far as it conducts, of its back-EMF shape times functions of the angle.
+    ///
+    /// * `f` a row for each phase, a column for each function
+    pub fn shaped<const N: usize>(&self, s: &Signals, f: impl Fn(f64) -> Of<N>) -> Vec<Of<N>> {
+        (0..s.n)
+            .map(|k| recording::over_supports(self.pole_pairs, self.way(s, k), &f))
+            .collect()
+    }
 }
 
 /// Finds out whether the voltages of a bench's runs stand against the star point: their sum is then that of the back-EMFs. Against
@@ -217,10 +231,14 @@ pub fn size_of(currents: &[impl AsRef<[f64]>], k: usize) -> f64 {
     0.5 * currents.iter().map(|i| i.as_ref()[k].abs()).sum::<f64>()
 }
 
+/// What a mean is taken of.
+pub trait Mean: Sized + Add<Output = Self> + Mul<f64, Output = Self> + Div<f64, Output = Self> {}
+impl<T: Add<Output = T> + Mul<f64, Output = T> + Div<f64, Output = T>> Mean for T {}
+
 /// Mean of a function over the way from one angle to another.
-fn along((from, to): (f64, f64), f: impl Fn(f64) -> f64) -> f64 {
+fn along<T: Mean>((from, to): (f64, f64), f: impl Fn(f64) -> T) -> T {
     let at = |j: usize| f(from + (to - from) * (j as f64 + 0.5) / 6.0);
-    (0..6).map(at).sum::<f64>() / 6.0
+    (1..6).map(at).fold(at(0), T::add) / 6.0
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use crate::measured::bench::{Bench, BenchChannel, Noise, Role, RunSpec};
 use crate::measured::own::with_q_current;
 use crate::measured::rows::{Labels, column, in_si, split};
 use ema_tables::Table;
+use nalgebra::SMatrix;
 use schemas::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -394,6 +395,9 @@ fn run(
     })
 }
 
+/// Shape of the back-EMF above which a phase conducts: it is +-1 from 30 to 150 degrees.
+const CONDUCTS: f64 = 1.0 - 1e-12;
+
 /// Points of an angle's way over a sample.
 const WAY: usize = 12;
 
@@ -407,13 +411,43 @@ pub fn over_support(pole_pairs: f64, q: usize, from: f64, to: f64, f: impl Fn(f6
         let trap = sim_worker::effect::shape(electrical);
         let x = f(theta, trap);
         all += x;
-        // +-1 from 30 to 150 degrees: there the phase conducts
-        if trap.abs() > 1.0 - 1e-12 {
+        if trap.abs() > CONDUCTS {
             on += x;
             count += 1.0;
         }
     }
     if count > 0.0 { on / count } else { all / WAY as f64 }
+}
+
+/// As [`over_support`], of each of three phases, of its shape times functions of the angle.
+pub fn over_supports<const N: usize>(
+    pole_pairs: f64,
+    (from, to): (f64, f64),
+    f: impl Fn(f64) -> SMatrix<f64, 3, N>,
+) -> SMatrix<f64, 3, N> {
+    let [mut on, mut all] = [SMatrix::<f64, 3, N>::zeros(); 2];
+    let mut count = [0.0; 3];
+    for j in 0..WAY {
+        let theta = from + (to - from) * (j as f64 + 0.5) / WAY as f64;
+        let mut x = f(theta);
+        for q in 0..3 {
+            let trap = sim_worker::effect::shape(pole_pairs * theta - std::f64::consts::TAU / 3.0 * q as f64);
+            let conducts = f64::from(u8::from(trap.abs() > CONDUCTS));
+            for i in 0..N {
+                x[(q, i)] *= trap;
+                on[(q, i)] += conducts * x[(q, i)];
+            }
+            count[q] += conducts;
+        }
+        all += x;
+    }
+    SMatrix::from_fn(|q, i| {
+        if count[q] > 0.0 {
+            on[(q, i)] / count[q]
+        } else {
+            all[(q, i)] / WAY as f64
+        }
+    })
 }
 
 /// Values at other times: a cubic through four samples (Lagrange), straight where a gap is near.

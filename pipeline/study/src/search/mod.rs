@@ -10,6 +10,7 @@ mod laws;
 pub mod remainder;
 pub mod scan;
 pub mod select;
+mod shadow;
 pub mod spectrum;
 pub mod study;
 pub mod supply;

@@ -8,20 +8,21 @@ use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
 use crate::measured::sums::dot;
 use crate::search::fit::{Regressor, Score, Term, log_likelihood};
+use crate::search::shadow::{Cast, Shadow};
 use crate::search::spectrum;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{EffectKind, Equation};
 
 /// Orthonormal basis of what is fitted already, weighted, with the priors as further rows.
-pub struct Basis {
+struct Basis {
     q: Vec<Vec<f64>>,
     weights: Vec<f64>,
     extra: usize,
 }
 
 impl Basis {
-    pub fn new(p: &Problem, weights: &[f64], nuisances: &[Nuisance], further: &[&Vec<f64>]) -> Self {
+    fn new(p: &Problem, weights: &[f64], nuisances: &[Nuisance], further: &[&Vec<f64>]) -> Self {
         let extra = nuisances.len() + p.local.len();
         let mut basis = Self {
             q: Vec::new(),
@@ -50,7 +51,7 @@ impl Basis {
     }
 
     /// A column, weighted, with zeros where the priors stand.
-    pub fn extended(&self, column: &[f64]) -> Vec<f64> {
+    fn extended(&self, column: &[f64]) -> Vec<f64> {
         let mut c = Vec::with_capacity(column.len() + self.extra);
         c.extend(column.iter().zip(&self.weights).map(|(x, w)| x * w));
         c.resize(column.len() + self.extra, 0.0);
@@ -69,7 +70,7 @@ impl Basis {
     }
 
     /// Takes the basis out of a weighted column.
-    pub fn project(&self, c: &mut [f64]) {
+    fn project(&self, c: &mut [f64]) {
         for q in &self.q {
             let s = dot(q, c);
             c.iter_mut().zip(q).for_each(|(c, q)| *c -= s * q);
@@ -87,9 +88,9 @@ const SPRINGS: usize = 4;
 pub struct Scan<'a> {
     pub problem: &'a Problem,
     pub constants: &'a RigConstants,
-    pub basis: Basis,
-    /// weighted left-hand side less everything fitted
-    residual: Vec<f64>,
+    weights: Vec<f64>,
+    /// basis of everything fitted, and the weighted left-hand side less it
+    shadow: Shadow,
     /// weighted drive torque
     drive: Vec<f64>,
     /// standard deviation used for each equation
@@ -119,16 +120,15 @@ impl<'a> Scan<'a> {
             }
         }
         basis.project(&mut residual);
-        let count = Equation::ALL.map(|e| p.rows_of(e) as f64);
         let drive = basis.extended(&p.drive);
         let mut scan = Self {
             problem: p,
             constants,
-            basis,
-            residual: Vec::new(),
+            shadow: Shadow::new(p, basis.q, residual),
+            weights: basis.weights,
             drive,
             sigma,
-            count,
+            count: Equation::ALL.map(|e| p.rows_of(e) as f64),
             none: Score {
                 log_likelihood: 0.0,
                 energy: [0.0; 5],
@@ -136,8 +136,7 @@ impl<'a> Scan<'a> {
             },
             orders: Default::default(),
         };
-        scan.none = scan.scored(&residual, Vec::new());
-        scan.residual = residual;
+        scan.none = scan.scored(scan.shadow.left([].into_iter()), Vec::new());
         scan
     }
 
@@ -145,9 +144,9 @@ impl<'a> Scan<'a> {
     /// is, with the sign of the motion, and with the drive.
     pub fn with_orders(mut self) -> Self {
         let p = self.problem;
-        let unweighted: Vec<f64> = self.residual[..p.rows]
+        let unweighted: Vec<f64> = self.shadow.residual[..p.rows]
             .iter()
-            .zip(&self.basis.weights)
+            .zip(&self.weights)
             .map(|(r, w)| r / w)
             .collect();
         let kinds: [(EffectKind, spectrum::Factor); 3] = [
@@ -161,15 +160,14 @@ impl<'a> Scan<'a> {
         self
     }
 
-    fn scored(&self, weighted: &[f64], amplitudes: Vec<f64>) -> Score {
-        let p = self.problem;
-        let mut energy = p.energy(&weighted[..p.rows]);
+    /// * `weighted` what is left of each equation and, last, of the priors, squared
+    fn scored(&self, weighted: ([f64; 5], f64), amplitudes: Vec<f64>) -> Score {
+        let (mut energy, prior) = weighted;
         for e in 0..5 {
             energy[e] *= self.sigma[e].powi(2);
         }
-        let prior = dot(&weighted[p.rows..], &weighted[p.rows..]);
         Score {
-            log_likelihood: log_likelihood(p, &energy, &self.count, prior),
+            log_likelihood: log_likelihood(self.problem, &energy, &self.count, prior),
             energy,
             amplitudes,
         }
@@ -185,21 +183,17 @@ impl<'a> Scan<'a> {
         if r.is_empty() {
             return None;
         }
-        let mut rest = self.residual.clone();
-        if let Some(fixed) = &r.fixed {
-            let mut f = self.basis.extended(fixed);
-            self.basis.project(&mut f);
-            rest.iter_mut().zip(&f).for_each(|(r, f)| *r -= f);
-        }
-        let mut free: Vec<Vec<f64>> = Vec::new();
+        let shadow = &self.shadow;
+        let weighted = |c: &Vec<f64>| -> Vec<f64> { c.iter().zip(&self.weights).map(|(x, w)| x * w).collect() };
+        let fixed = r.fixed.as_ref().map(|f| shadow.of(weighted(f)));
+        let mut free: Vec<Cast> = Vec::new();
         for c in &r.linear {
-            let mut c = self.basis.extended(c);
-            let before = dot(&c, &c);
-            if !self.constants.measured_current && self.is_regressand(kind, &c, before) {
+            let c = weighted(c);
+            if !self.constants.measured_current && self.is_regressand(kind, &c, dot(&c, &c)) {
                 return None;
             }
-            self.basis.project(&mut c);
-            let after = dot(&c, &c);
+            let c = shadow.of(c);
+            let (before, after) = (shadow.product(&c, &c), shadow.beyond(&c, &c));
             // hardly anything of its own: not excited, or the regressand in disguise
             if !(after > 1e-6 * before && after > 1e-12) {
                 return None;
@@ -208,10 +202,14 @@ impl<'a> Scan<'a> {
         }
         let m = free.len();
         let mut amplitudes = Vec::new();
+        let mut belief = 0.0;
         if m > 0 {
-            let belief = columns::trust(kind).map_or(0.0, |t| t.powi(-2));
-            let gram = DMatrix::from_fn(m, m, |i, j| dot(&free[i], &free[j]) + if i == j { belief } else { 0.0 });
-            let right = DVector::from_fn(m, |i, _| dot(&free[i], &rest));
+            belief = columns::trust(kind).map_or(0.0, |t| t.powi(-2));
+            let own = |i: usize, j: usize| shadow.beyond(&free[i], &free[j]);
+            let gram = DMatrix::from_fn(m, m, |i, j| own(i, j) + if i == j { belief } else { 0.0 });
+            let right = DVector::from_fn(m, |i, _| {
+                shadow.facing(&free[i]) - fixed.as_ref().map_or(0.0, |f| shadow.beyond(&free[i], f))
+            });
             amplitudes = gram.cholesky()?.solve(&right).iter().copied().collect();
             // a phase that makes less torque than its current says has lost turns, for all that the torque shows
             let shorted = kind == EffectKind::CurrentGain && amplitudes.first().is_some_and(|a| *a > 0.0);
@@ -221,12 +219,11 @@ impl<'a> Scan<'a> {
             if !admissible(kind, &amplitudes) {
                 return None;
             }
-            for (a, c) in amplitudes.iter().zip(&free) {
-                rest.iter_mut().zip(c).for_each(|(r, c)| *r -= a * c);
-            }
-            rest.extend(amplitudes.iter().map(|a| a * belief.sqrt()));
         }
-        Some(self.scored(&rest, amplitudes))
+        let taken = free.iter().zip(amplitudes.iter().copied());
+        let (energy, prior) = shadow.left(taken.chain(fixed.iter().map(|f| (f, 1.0))));
+        let own = belief * amplitudes.iter().map(|a| a * a).sum::<f64>();
+        Some(self.scored((energy, prior + own), amplitudes))
     }
 
     /// Whether a column of an effect in the drive signal is the drive signal itself, which would explain
@@ -236,7 +233,7 @@ impl<'a> Scan<'a> {
             kind,
             EffectKind::TorqueSaturation | EffectKind::DeadTime | EffectKind::CurrentGain
         );
-        let s = dot(column, &self.drive);
+        let s = dot(column, &self.drive[..column.len()]);
         of_drive && s * s > 0.9 * energy * dot(&self.drive, &self.drive)
     }
 
@@ -364,7 +361,7 @@ impl<'a> Scan<'a> {
     fn heard(&self) -> bool {
         let (p, e) = (self.problem, Equation::Torque);
         let noise = if p.on_time() {
-            let unweighted = self.residual[..p.rows].iter().map(|r| r * self.sigma[e.index()]);
+            let unweighted = self.shadow.residual[..p.rows].iter().map(|r| r * self.sigma[e.index()]);
             p.quiet_energy(&unweighted.collect::<Vec<_>>(), e)
         } else {
             LEAST_NOISE * p.sensor_energy(e.index())
