@@ -124,7 +124,7 @@ impl Jury {
             self.seen |= alive > 0;
             // who has come since, in the place of another or the first, knows nothing of the stream's beginning, and may say
             // nothing of it: any subscriber's answer begins a stream
-            let came_late = alive > 0 && !now.iter().any(|d| self.there.contains(d));
+            let came_late = !now.iter().any(|d| self.there.contains(d));
             let left = patience.saturating_sub(start.elapsed());
             // whatever a diagnoser said before it died is here now
             self.listen(if alive > 0 { left.min(LOOK) } else { Duration::ZERO })?;

@@ -137,7 +137,7 @@ pub(super) fn off_centre([amplitude, phase, _]: [f64; 3], theta: f64) -> (f64, f
     (amplitude * sin, amplitude * cos)
 }
 
-/// An angle within `[0, 2 pi)` [rad]: the bits of `rem_euclid(TAU)`, in a tenth of its time.
+/// An angle within `[0, 2 pi)` [rad]: the bits of `rem_euclid(TAU)`, without its loop of divisions.
 pub fn within_a_turn(angle: f64) -> f64 {
     // 2 pi in two parts, so short that each times a number of turns below `MOST` is exact; so are both differences
     const HIGH: f64 = f64::from_bits(TAU.to_bits() & !0xF_FFFF);

@@ -408,3 +408,28 @@ fn prop_lane_count_and_instruction_set_change_no_bit_with_effects() {
         );
     }
 }
+
+#[test]
+fn prop_an_angle_within_a_turn_has_the_bits_of_the_remainder() {
+    use rand::{RngExt, SeedableRng};
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+    let same = |x: f64| {
+        let (of, wanted) = (equations::within_a_turn(x), x.rem_euclid(TAU));
+        assert_eq!(of.to_bits(), wanted.to_bits(), "{x:?}: {of:?} {wanted:?}");
+    };
+    for x in [0.0, -0.0, TAU, -TAU, f64::MIN_POSITIVE, 1e300, -1e300, 6.6e6, -6.6e6] {
+        same(x);
+    }
+    for _ in 0..200_000 {
+        same(rng.random_range(-50.0..50.0));
+        same(rng.random_range(-1e7..1e7));
+        // beside whole turns
+        let turns = f64::from(rng.random_range(-1_100_000..1_100_000)) * TAU;
+        (-3..=3).for_each(|k| same(f64::from_bits(turns.to_bits().wrapping_add_signed(k))));
+    }
+    assert!(
+        [f64::NAN, f64::INFINITY]
+            .iter()
+            .all(|x| equations::within_a_turn(*x).is_nan())
+    );
+}

@@ -7,17 +7,21 @@ use crate::equations::signals::Signals;
 use sim_worker::effect::{self, EffectKind, Equation};
 use std::f64::consts::TAU;
 
+/// Shape of a phase's back-EMF at an angle.
+fn trap(c: &RigConstants, q: usize, theta: f64) -> f64 {
+    effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64)
+}
+
 /// What the phases make of effects that change their constants: of each, its columns of torque and phase voltages.
 ///
 /// * `share` of each phase at an angle, of its torque and back-EMF constant; a column for each effect
 fn phased<const N: usize>(s: &Signals, p: &Phases, c: &RigConstants, share: impl Fn(f64) -> Of<N>) -> Vec<Column> {
     let ke = 0.5 * c.effect.torque_constant;
-    let trap = |q: usize, theta: f64| effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64);
     let means = p.shaped(s, &share);
     let whole = p.voltage.as_ref().map(|_| {
         p.swept(s, |theta| {
             let mut of = share(theta);
-            (0..3).for_each(|q| of.row_mut(q).scale_mut(trap(q, theta)));
+            (0..3).for_each(|q| of.row_mut(q).scale_mut(trap(c, q, theta)));
             of
         })
     });
@@ -101,9 +105,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             column.extend(less(short));
             if shape.get(1) == Some(&BRIDGED) {
                 // by the back-EMF of the bridged turns, whose current is as large as theirs over their resistance
-                let squared = p.swept(s, |theta| {
-                    effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * short as f64).powi(2)
-                });
+                let squared = p.swept(s, |theta| trap(c, short, theta).powi(2));
                 let signal = squared.iter().map(|x| ke * ke / r * x).collect();
                 column.push(Piece::of(Equation::Torque, 0, signal));
             }
@@ -115,8 +117,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             let torque = (0..s.n).map(|k| c.effect.torque_constant * drive(s, c, k) * lost[k]);
             let mut column = vec![Piece::of(Equation::Torque, 0, torque.collect())];
             for q in (0..3).filter(|_| p.voltage.is_some()) {
-                let trap = |theta: f64| effect::shape(c.effect.pole_pairs * theta - TAU / 3.0 * q as f64);
-                let whole = p.swept(s, trap);
+                let whole = p.swept(s, |theta| trap(c, q, theta));
                 column.push(Piece {
                     equation: Equation::Electrical,
                     order: 0,
@@ -170,7 +171,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
             let mut column: Column = vec![Piece {
                 equation: Equation::Torque,
                 order: 0,
-                signal: p.mean_over_support(s, q, |_, trap| ke * trap),
+                signal: p.mean_over_support(s, q, |trap| ke * trap),
                 phase: None,
             }];
             if p.voltage.is_some() {
@@ -186,7 +187,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
         // linear in g/(1+g)
         EffectKind::CurrentGain if !shape.is_empty() => {
             let q = shape[0] as usize;
-            let along = p.mean_over_support(s, q, |_, trap| ke * trap);
+            let along = p.mean_over_support(s, q, |trap| ke * trap);
             let mut column: Column = vec![Piece {
                 equation: Equation::Torque,
                 order: 0,

@@ -4,11 +4,10 @@ use crate::equations::clock::Clock;
 use crate::equations::pieces::true_angle;
 use crate::equations::signals::Signals;
 use crate::measured::bench::{Bench, BenchChannel};
-use crate::measured::recording::{self, Run};
+use crate::measured::recording::{Mean, Run, on_way, over_support};
 use crate::measured::samples::shifted;
 use nalgebra::{SMatrix, Vector3};
 use sim_worker::effect;
-use std::ops::{Add, Div, Mul};
 
 /// Functions of the angle, of each of three phases.
 pub type Of<const N: usize> = SMatrix<f64, 3, N>;
@@ -183,7 +182,7 @@ impl Phases {
     pub(super) fn drive(&self, s: &Signals) -> Vec<f64> {
         let mut out = vec![0.0; s.n];
         for q in 0..3 {
-            let shape = self.mean_over_support(s, q, |_, trap| trap);
+            let shape = self.mean_over_support(s, q, |trap| trap);
             for k in 0..s.n {
                 out[k] += 0.5 * self.current[q][k] * shape[k];
             }
@@ -191,23 +190,22 @@ impl Phases {
         out
     }
 
-    /// Mean over each sample, as far as phase `q` conducts, of a function of angle and back-EMF shape.
-    pub fn mean_over_support(&self, s: &Signals, q: usize, f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
-        (0..s.n)
-            .map(|k| {
-                let (from, to) = self.way(s, k);
-                recording::over_support(self.pole_pairs, q, from, to, &f)
-            })
-            .collect()
+    /// Mean over each sample, as far as phase `q` conducts, of a function of its back-EMF shape.
+    pub fn mean_over_support(&self, s: &Signals, q: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
+        let mean = |k: usize| over_support(self.pole_pairs, q, self.way(s, k), |_, trap| f(trap));
+        (0..s.n).map(mean).collect()
     }
 
     /// Mean over each sample, of each phase as far as it conducts, of its back-EMF shape times functions of the angle.
     ///
     /// * `f` a row for each phase, a column for each function
     pub fn shaped<const N: usize>(&self, s: &Signals, f: impl Fn(f64) -> Of<N>) -> Vec<Of<N>> {
-        (0..s.n)
-            .map(|k| recording::over_supports(self.pole_pairs, self.way(s, k), &f))
-            .collect()
+        let mean = |k: usize| {
+            let way = self.way(s, k);
+            let at = on_way(way).map(&f);
+            Of::from_rows(&[0, 1, 2].map(|q| over_support(self.pole_pairs, q, way, |j, trap| at[j].row(q) * trap)))
+        };
+        (0..s.n).map(mean).collect()
     }
 }
 
@@ -231,14 +229,10 @@ pub fn size_of(currents: &[impl AsRef<[f64]>], k: usize) -> f64 {
     0.5 * currents.iter().map(|i| i.as_ref()[k].abs()).sum::<f64>()
 }
 
-/// What a mean is taken of.
-pub trait Mean: Sized + Add<Output = Self> + Mul<f64, Output = Self> + Div<f64, Output = Self> {}
-impl<T: Add<Output = T> + Mul<f64, Output = T> + Div<f64, Output = T>> Mean for T {}
-
 /// Mean of a function over the way from one angle to another.
 fn along<T: Mean>((from, to): (f64, f64), f: impl Fn(f64) -> T) -> T {
     let at = |j: usize| f(from + (to - from) * (j as f64 + 0.5) / 6.0);
-    (1..6).map(at).fold(at(0), T::add) / 6.0
+    (1..6).map(at).fold(at(0), |sum, x| sum + x) / 6.0
 }
 
 #[cfg(test)]

@@ -5,9 +5,9 @@ use crate::measured::bench::{Bench, BenchChannel, Noise, Role, RunSpec};
 use crate::measured::own::with_q_current;
 use crate::measured::rows::{Labels, column, in_si, split};
 use ema_tables::Table;
-use nalgebra::SMatrix;
 use schemas::error::{Error, Result};
 use std::collections::BTreeMap;
+use std::ops::{Add, Div, Mul};
 use std::path::PathBuf;
 
 /// Fewest samples of a run.
@@ -353,8 +353,7 @@ fn run(
         for (q, c) in BenchChannel::CURRENTS.iter().enumerate() {
             let i = &channels[c];
             for k in 0..count {
-                let (from, to) = ends(k);
-                iq[k] += 0.5 * i[k] * over_support(bench.rig.pole_pairs, q, from, to, |_, trap| trap);
+                iq[k] += 0.5 * i[k] * over_support(bench.rig.pole_pairs, q, ends(k), |_, trap| trap);
             }
         }
         channels.insert(BenchChannel::Current, iq);
@@ -401,53 +400,27 @@ const CONDUCTS: f64 = 1.0 - 1e-12;
 /// Points of an angle's way over a sample.
 const WAY: usize = 12;
 
-/// Mean of `f(angle, shape of the back-EMF)` of a phase over that part of the way from one angle to the other in which
-/// the phase conducts, over all of it if it does nowhere: a current is where it conducts.
-pub fn over_support(pole_pairs: f64, q: usize, from: f64, to: f64, f: impl Fn(f64, f64) -> f64) -> f64 {
-    let (mut on, mut all, mut count) = (0.0, 0.0, 0.0);
-    for j in 0..WAY {
-        let theta = from + (to - from) * (j as f64 + 0.5) / WAY as f64;
-        let electrical = pole_pairs * theta - std::f64::consts::TAU / 3.0 * q as f64;
-        let trap = sim_worker::effect::shape(electrical);
-        let x = f(theta, trap);
-        all += x;
-        if trap.abs() > CONDUCTS {
-            on += x;
-            count += 1.0;
-        }
-    }
-    if count > 0.0 { on / count } else { all / WAY as f64 }
+/// What a mean is taken of.
+pub trait Mean: Copy + Add<Output = Self> + Mul<f64, Output = Self> + Div<f64, Output = Self> {}
+impl<T: Copy + Add<Output = T> + Mul<f64, Output = T> + Div<f64, Output = T>> Mean for T {}
+
+/// Angles on the way from one to another, those of [`over_support`].
+pub fn on_way((from, to): (f64, f64)) -> [f64; WAY] {
+    std::array::from_fn(|j| from + (to - from) * (j as f64 + 0.5) / WAY as f64)
 }
 
-/// As [`over_support`], of each of three phases, of its shape times functions of the angle.
-pub fn over_supports<const N: usize>(
-    pole_pairs: f64,
-    (from, to): (f64, f64),
-    f: impl Fn(f64) -> SMatrix<f64, 3, N>,
-) -> SMatrix<f64, 3, N> {
-    let [mut on, mut all] = [SMatrix::<f64, 3, N>::zeros(); 2];
-    let mut count = [0.0; 3];
-    for j in 0..WAY {
-        let theta = from + (to - from) * (j as f64 + 0.5) / WAY as f64;
-        let mut x = f(theta);
-        for q in 0..3 {
-            let trap = sim_worker::effect::shape(pole_pairs * theta - std::f64::consts::TAU / 3.0 * q as f64);
-            let conducts = f64::from(u8::from(trap.abs() > CONDUCTS));
-            for i in 0..N {
-                x[(q, i)] *= trap;
-                on[(q, i)] += conducts * x[(q, i)];
-            }
-            count[q] += conducts;
-        }
-        all += x;
-    }
-    SMatrix::from_fn(|q, i| {
-        if count[q] > 0.0 {
-            on[(q, i)] / count[q]
-        } else {
-            all[(q, i)] / WAY as f64
-        }
-    })
+/// Mean of `f(number of the angle on its way, shape of the back-EMF)` of a phase over that part of the way from one angle to the
+/// other in which the phase conducts, over all of it if it does nowhere: a current is where it conducts.
+pub fn over_support<T: Mean>(pole_pairs: f64, q: usize, way: (f64, f64), f: impl Fn(usize, f64) -> T) -> T {
+    let trap = |theta: f64| sim_worker::effect::shape(pole_pairs * theta - std::f64::consts::TAU / 3.0 * q as f64);
+    let traps = on_way(way).map(trap);
+    let mean = |of: &dyn Fn(f64) -> bool| {
+        let there = (0..WAY).filter(|j| of(traps[*j]));
+        let count = there.clone().count() as f64;
+        Some(there.map(|j| f(j, traps[j])).reduce(T::add)? / count)
+    };
+    let conducts = |trap: f64| trap.abs() > CONDUCTS;
+    mean(&conducts).or_else(|| mean(&|_| true)).expect("a way has points")
 }
 
 /// Values at other times: a cubic through four samples (Lagrange), straight where a gap is near.

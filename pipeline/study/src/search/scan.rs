@@ -14,6 +14,10 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{EffectKind, Equation};
 
+fn weighted(column: &[f64], weights: &[f64]) -> Vec<f64> {
+    column.iter().zip(weights).map(|(x, w)| x * w).collect()
+}
+
 /// Orthonormal basis of what is fitted already, weighted, with the priors as further rows.
 struct Basis {
     q: Vec<Vec<f64>>,
@@ -52,8 +56,7 @@ impl Basis {
 
     /// A column, weighted, with zeros where the priors stand.
     fn extended(&self, column: &[f64]) -> Vec<f64> {
-        let mut c = Vec::with_capacity(column.len() + self.extra);
-        c.extend(column.iter().zip(&self.weights).map(|(x, w)| x * w));
+        let mut c = weighted(column, &self.weights);
         c.resize(column.len() + self.extra, 0.0);
         c
     }
@@ -120,7 +123,7 @@ impl<'a> Scan<'a> {
             }
         }
         basis.project(&mut residual);
-        let drive = basis.extended(&p.drive);
+        let drive = weighted(&p.drive, &basis.weights);
         let mut scan = Self {
             problem: p,
             constants,
@@ -184,11 +187,10 @@ impl<'a> Scan<'a> {
             return None;
         }
         let shadow = &self.shadow;
-        let weighted = |c: &Vec<f64>| -> Vec<f64> { c.iter().zip(&self.weights).map(|(x, w)| x * w).collect() };
-        let fixed = r.fixed.as_ref().map(|f| shadow.of(weighted(f)));
+        let fixed = r.fixed.as_ref().map(|f| shadow.of(weighted(f, &self.weights)));
         let mut free: Vec<Cast> = Vec::new();
         for c in &r.linear {
-            let c = weighted(c);
+            let c = weighted(c, &self.weights);
             if !self.constants.measured_current && self.is_regressand(kind, &c, dot(&c, &c)) {
                 return None;
             }
@@ -233,7 +235,7 @@ impl<'a> Scan<'a> {
             kind,
             EffectKind::TorqueSaturation | EffectKind::DeadTime | EffectKind::CurrentGain
         );
-        let s = dot(column, &self.drive[..column.len()]);
+        let s = dot(column, &self.drive);
         of_drive && s * s > 0.9 * energy * dot(&self.drive, &self.drive)
     }
 

@@ -33,6 +33,12 @@ pub struct Cast {
     whole: DVector<f64>,
 }
 
+/// Inner product in one equation.
+fn product_in(blocks: &[(usize, Range<usize>)], e: usize, a: &[f64], b: &[f64]) -> f64 {
+    let rows = blocks.iter().filter(|x| x.0 == e);
+    rows.map(|(_, r)| dot(&a[r.clone()], &b[r.clone()])).sum()
+}
+
 impl Shadow {
     /// * `q` orthonormal and weighted, as the residual is, of which nothing lies along it
     pub fn new(p: &Problem, q: Vec<Vec<f64>>, residual: Vec<f64>) -> Self {
@@ -43,10 +49,7 @@ impl Shadow {
     /// * `rows` from which on the priors stand
     fn of_blocks(blocks: Vec<(usize, Range<usize>)>, q: Vec<Vec<f64>>, residual: Vec<f64>, rows: usize) -> Self {
         let n = q.len();
-        let product = |a: &[f64], b: &[f64], e: usize| {
-            let rows = blocks.iter().filter(|x| x.0 == e);
-            rows.map(|(_, r)| dot(&a[r.clone()], &b[r.clone()])).sum::<f64>()
-        };
+        let product = |a: &[f64], b: &[f64], e: usize| product_in(&blocks, e, a, b);
         let gram = std::array::from_fn(|e| {
             let mut of = DMatrix::zeros(n, n);
             for i in 0..n {
@@ -94,16 +97,10 @@ impl Shadow {
         }
     }
 
-    /// Inner product in one equation.
-    fn product_in(&self, e: usize, a: &[f64], b: &[f64]) -> f64 {
-        let rows = self.blocks.iter().filter(|x| x.0 == e);
-        rows.map(|(_, r)| dot(&a[r.clone()], &b[r.clone()])).sum()
-    }
-
     /// Inner product of two columns.
     pub fn product(&self, a: &Cast, b: &Cast) -> f64 {
         let both = (0..5).filter(|e| a.somewhere[*e] && b.somewhere[*e]);
-        both.map(|e| self.product_in(e, &a.column, &b.column)).sum()
+        both.map(|e| product_in(&self.blocks, e, &a.column, &b.column)).sum()
     }
 
     /// Inner product of what two columns are beyond the basis.
@@ -114,7 +111,9 @@ impl Shadow {
     /// Inner product of what a column is beyond the basis with the residual, of which nothing lies along the basis.
     pub fn facing(&self, a: &Cast) -> f64 {
         let there = (0..5).filter(|e| a.somewhere[*e]);
-        there.map(|e| self.product_in(e, &a.column, &self.residual)).sum()
+        there
+            .map(|e| product_in(&self.blocks, e, &a.column, &self.residual))
+            .sum()
     }
 
     /// What is left of each equation and of the priors, squared, without what so much of some columns is beyond the basis.
@@ -142,8 +141,8 @@ impl Shadow {
             let mut of = self.energy[e] + 2.0 * self.facing[e].dot(&sum.whole);
             of += (&self.gram[e] * &sum.whole).dot(&sum.whole);
             if sum.somewhere[e] {
-                of += self.product_in(e, &sum.column, &sum.column);
-                of -= 2.0 * (self.product_in(e, &sum.column, &self.residual) + sum.along[e].dot(&sum.whole));
+                of += product_in(&self.blocks, e, &sum.column, &sum.column);
+                of -= 2.0 * (product_in(&self.blocks, e, &sum.column, &self.residual) + sum.along[e].dot(&sum.whole));
             }
             of.max(0.0)
         });

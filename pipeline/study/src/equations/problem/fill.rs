@@ -250,7 +250,7 @@ impl Problem {
                             phase,
                         };
                         vec![
-                            piece(Equation::Torque, p.mean_over_support(s, q, |_, trap| ke * trap), None),
+                            piece(Equation::Torque, p.mean_over_support(s, q, |trap| ke * trap), None),
                             piece(Equation::Electrical, vec![-r; s.n], Some(q)),
                         ]
                     })

@@ -34,7 +34,7 @@ fn strong(m: &Material, model: &Fit, run: &Run, s: &Signals) -> (Vec<Sums>, f64)
         0.5 * constant("torque_constant"),
     );
     let dt = 1.0 / s.rate_hz;
-    let shapes: [Vec<f64>; 3] = std::array::from_fn(|q| p.mean_over_support(s, q, |_, trap| trap));
+    let shapes: [Vec<f64>; 3] = std::array::from_fn(|q| p.mean_over_support(s, q, |trap| trap));
     let mut out = Vec::new();
     let mut greatest: f64 = 0.0;
     let mut k = 2;
