@@ -286,9 +286,14 @@ fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3]) -> Optio
 
 /// Inertia, viscous and dry friction of nobody's knowledge: a place to begin.
 pub fn rough(bench: &Bench, runs: &[&Run]) -> Option<[f64; 3]> {
-    let fit = straight(bench, runs, WIDE, [1.0; 3])?;
-    Some([fit.x[0], fit.x[1], fit.x[2]])
+    let Straight { x, g, energy } = straight(bench, runs, WIDE, [1.0; 3])?;
+    // a spring turns the sign of an inertia, or it makes too little of the torque: none would leave no equation
+    let little = LITTLE * (energy / g[(0, 0)].max(1e-300)).sqrt();
+    Some([if x[0] > 0.0 { x[0] } else { little }, x[1], x[2]])
 }
+
+/// Share of the torque that an inertia has to begin with where none is seen (assumed).
+const LITTLE: f64 = 0.01;
 
 /// Corners of the smoothing, as shares of the sampling rate.
 const WIDE: f64 = 0.03;
@@ -301,6 +306,9 @@ fn drive(bench: &Bench, runs: &[&Run]) -> Result<()> {
         drive_at(bench, runs, NARROW)?.map_or(Ok(()), |_| Err(wide))
     })
 }
+
+/// Share of the torque's energy from which friction is seen to brake (assumed).
+const BRAKED: f64 = 0.1;
 
 /// The mistake that is seen with a corner at this share of the sampling rate.
 fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> {
@@ -325,6 +333,13 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
     let inertial = x[0] * x[0] * g[(0, 0)] / energy.max(1e-300);
     let frictional = x[2] * x[2] * g[(2, 2)] / energy.max(1e-300);
     let told = inertial > 0.02;
+    // nobody's sign or unit makes an inertia negative and leaves a friction that brakes: a spring does
+    let viscous = x[1] * x[1] * g[(1, 1)] / energy.max(1e-300);
+    let brakes = [(x[1], viscous), (x[2], frictional)];
+    let braked: f64 = brakes.iter().map(|(x, share)| x.signum() * share).sum();
+    if x[0] < 0.0 && braked > BRAKED {
+        return Ok(None);
+    }
     if (told && x[0] < 0.0 && (x[2] < 0.0 || frictional < 0.05))
         || (x[2] < 0.0 && frictional > 0.2 && (x[0] < 0.0 || !told))
     {

@@ -9,6 +9,7 @@ use crate::measured::sums::dot;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::remainder::{Regressor, edges};
 use crate::search::select::Material;
+use crate::search::unlisted::Unlisted;
 use crate::search::verdict::BEYOND;
 use nalgebra::{DMatrix, DVector};
 use sim_worker::effect::{EffectKind, Equation};
@@ -17,7 +18,7 @@ use sim_worker::effect::{EffectKind, Equation};
 const PIECES: usize = 12;
 /// Share of what the effects explain that a form may take beside them (assumed: laws of the list left up to 0.004, a spring with a
 /// cubic part 0.14, what is none of them up to 2).
-const MOST: f64 = 0.2;
+pub(super) const MOST: f64 = 0.2;
 /// Energy that a form takes, over that of a row, from which it is one (assumed).
 const CLEAR: f64 = 100.0;
 /// Keeps columns that are sums of others apart.
@@ -35,6 +36,8 @@ pub enum Strange {
         /// energy that it takes, over that which the effects explain
         share: f64,
     },
+    /// a law of a constant or of the time
+    Unlisted(Unlisted),
     /// several effects stand for one law: of the same order of the rotor's turn, or frictions of the place
     Composed,
 }
@@ -82,16 +85,16 @@ impl Hats {
 }
 
 /// The rows of one problem that are judged, what a model leaves of them, and its columns.
-struct Side<'a> {
-    p: &'a Problem,
-    residual: Vec<f64>,
-    rows: Vec<usize>,
+pub(super) struct Side<'a> {
+    pub p: &'a Problem,
+    pub residual: Vec<f64>,
+    pub rows: Vec<usize>,
     columns: Vec<Vec<f64>>,
 }
 
 impl<'a> Side<'a> {
     /// * `judged` whether a row is
-    fn new(p: &'a Problem, m: &Material, model: &Fit, residual: Vec<f64>, judged: impl Fn(usize) -> bool) -> Self {
+    pub fn new(p: &'a Problem, m: &Material, model: &Fit, residual: Vec<f64>, judged: impl Fn(usize) -> bool) -> Self {
         let torque = p.blocks.iter().filter(|b| b.equation == Equation::Torque);
         let regressors = fit::regressors(p, &model.terms, &m.constants);
         let amplitudes = regressors.into_iter().flat_map(|r| r.linear);
@@ -107,13 +110,13 @@ impl<'a> Side<'a> {
         self.rows.iter().map(|r| column[*r]).collect()
     }
 
-    fn energy(&self, residual: &[f64]) -> f64 {
+    pub fn energy(&self, residual: &[f64]) -> f64 {
         self.rows.iter().map(|r| residual[*r].powi(2)).sum()
     }
 }
 
 /// Judged columns of a model and of single runs on the fit runs, and their products.
-type Own = (Vec<Vec<f64>>, Vec<Vec<f64>>);
+pub(super) type Own = (Vec<Vec<f64>>, Vec<Vec<f64>>);
 
 /// Products of columns with each other and those before them, from column `first` on.
 fn products(columns: &[Vec<f64>], first: usize) -> Vec<Vec<f64>> {
@@ -122,8 +125,13 @@ fn products(columns: &[Vec<f64>], first: usize) -> Vec<Vec<f64>> {
 }
 
 /// Energy that is left of the held-out rows with a form learnt on the fit runs, constants and amplitudes learnt once more beside it.
-fn left((find, own): (&Side, &Own), prove: &Side, model: &Fit, form: Option<&Hats>) -> Option<f64> {
-    let hats = |p: &Problem| form.map_or_else(Vec::new, |f| f.columns(p));
+pub(super) fn left(
+    (find, own): (&Side, &Own),
+    prove: &Side,
+    model: &Fit,
+    form: Option<&dyn Fn(&Problem) -> Vec<Vec<f64>>>,
+) -> Option<f64> {
+    let hats = |p: &Problem| form.map_or_else(Vec::new, |f| f(p));
     let of_model = find.columns.len();
     let (mut columns, mut lower) = own.clone();
     columns.extend(hats(find.p).iter().map(|c| find.judged(c)));
@@ -155,6 +163,14 @@ fn left((find, own): (&Side, &Own), prove: &Side, model: &Fit, form: Option<&Hat
     Some(prove.energy(&fit::without_local(prove.p, r, &model.sigma)))
 }
 
+/// Of the fit runs.
+pub(super) fn own_of(find: &Side, m: &Material) -> Own {
+    let all = find.columns.iter().chain(&m.fit.local);
+    let columns: Vec<Vec<f64>> = all.map(|c| find.judged(c)).collect();
+    let lower = products(&columns, 0);
+    (columns, lower)
+}
+
 /// What the list does not have, though effects of it were found. Nothing where no data are held out.
 ///
 /// * `retuned` the model without effects
@@ -176,14 +192,7 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
         return None;
     }
     let find = Side::new(&m.fit, m, model, model.residual.clone(), |_| true);
-    let columns: Vec<Vec<f64>> = find
-        .columns
-        .iter()
-        .chain(&m.fit.local)
-        .map(|c| find.judged(c))
-        .collect();
-    let lower = products(&columns, 0);
-    let own = (columns, lower);
+    let own = own_of(&find, m);
     let alone = left((&find, &own), &prove, model, None)?;
     let laws = [
         (Regressor::Speed, false),
@@ -194,7 +203,8 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
     // the chatter of phases stands in their current and in what is left alike
     let told = |of: Regressor| of != Regressor::Drive || !m.bench.has_phases();
     let forms = laws.into_iter().filter(|l| told(l.0)).filter_map(|(of, signed)| {
-        let taken = alone - left((&find, &own), &prove, model, Some(&Hats::new(&m.fit, of, signed)?))?;
+        let hats = Hats::new(&m.fit, of, signed)?;
+        let taken = alone - left((&find, &own), &prove, model, Some(&|p| hats.columns(p)))?;
         let share = taken / explained;
         (taken > clear && share > MOST).then_some((share, Strange::Form { of, signed, share }))
     });

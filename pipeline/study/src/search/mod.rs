@@ -14,4 +14,5 @@ mod shadow;
 pub mod spectrum;
 pub mod study;
 pub mod supply;
+pub mod unlisted;
 pub mod verdict;

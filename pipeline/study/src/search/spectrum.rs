@@ -56,7 +56,7 @@ pub fn orders(p: &Problem, residual: &[f64], factor: Factor) -> Vec<f64> {
 }
 
 /// Discrete Fourier transform in place (Cooley and Tukey 1965); the length is a power of two.
-fn transform(re: &mut [f64], im: &mut [f64]) {
+pub(super) fn transform(re: &mut [f64], im: &mut [f64]) {
     let n = re.len();
     let bits = n.trailing_zeros();
     for i in 0..n {

@@ -1,0 +1,507 @@
+//! Laws that the list does not have and that any machine may: a constant that is another one at another time or place, an inertia that
+//! goes with the turn, a torque that keeps its own time.
+
+use crate::candidates::shapes::has_order;
+use crate::equations::pieces::Piece;
+use crate::equations::problem::{Block, Problem};
+use crate::equations::signals::Signals;
+use crate::measured::sums::dot;
+use crate::search::fit::Fit;
+use crate::search::form::{MOST, Side, left, own_of};
+use crate::search::remainder::{Regressor, bin, edges};
+use crate::search::select::Material;
+use crate::search::spectrum::transform;
+use crate::search::verdict::BEYOND;
+use sim_worker::effect::{EffectKind, Equation};
+use std::collections::BTreeMap;
+
+/// Share of what is left that a law takes from which it is there, on the runs that find and on those that prove (assumed: rigs of
+/// another hand in which nothing is hidden left up to 0.07).
+const SEEN: f64 = 0.1;
+/// The same beside effects that were found, and what it takes of what they explain (assumed: rigs of another hand with one effect left up
+/// to 0.23 and 0.001).
+const SEEN_BESIDE: f64 = 0.3;
+const LITTLE: f64 = 0.04;
+/// Share of what an effect leaves below which a law in its place must come (assumed: in the place of true ones 1.03 and more, of others up
+/// to 0.93).
+const INSTEAD: f64 = 0.97;
+/// Share of what is left without a spring below which one tone brings it that does not stop (assumed: springs have none that stands out).
+const RINGS: f64 = 0.5;
+/// Energy that it takes at least, over that of a row (assumed).
+const CLEAR: f64 = 100.0;
+/// Time over which a constant is one [s] (assumed).
+const WHILE_S: f64 = 0.25;
+/// Whiles on either side that say what it is.
+const NEAR: usize = 2;
+/// How far from what it is for all time a constant is believed to go (assumed).
+const BELIEF: f64 = 0.3;
+/// Frequencies of a torque that keeps its own time [Hz] (assumed): below, a friction does; above, a converter.
+const TONES_HZ: (f64, f64) = (0.5, 100.0);
+/// Power of a tone over the median of its neighbours' (assumed: without one up to 15), on either side of so much [Hz].
+const STANDS_OUT: f64 = 30.0;
+const NEIGHBOURS_HZ: f64 = 3.0;
+/// Longest transform of a run.
+const LONGEST: usize = 1 << 17;
+/// Pieces of the travel in which a constant is one.
+const PLACES: usize = 8;
+/// Orders of the turn with which an inertia may go.
+const ORDERS: [f64; 2] = [1.0, 2.0];
+
+/// What a constant multiplies in the torque.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Constant {
+    Inertia,
+    Viscous,
+    DryFriction,
+    Gain,
+    Offset,
+}
+
+impl Constant {
+    const ALL: [Self; 5] = [
+        Self::Inertia,
+        Self::Viscous,
+        Self::DryFriction,
+        Self::Gain,
+        Self::Offset,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Inertia => "inertia",
+            Self::Viscous => "viscous friction",
+            Self::DryFriction => "dry friction",
+            Self::Gain => "gain of the drive",
+            Self::Offset => "constant torque",
+        }
+    }
+
+    /// Torque for a value of the constant of about 1, or of the rig's. Of an inertia it is what drive and friction leave to it: an
+    /// acceleration has the noise of the angle's sensor, which stands in the residual too.
+    fn torque(self, m: &Material, s: &Signals, k: usize) -> f64 {
+        let rig = &m.bench.rig;
+        let push = rig.drive_constant.value * s.drive[k];
+        match self {
+            Self::Inertia => {
+                let braked = rig.viscous.value * s.omega[k] + rig.coulomb.value * s.sign[k];
+                push - s.load[k] - braked - rig.offset
+            }
+            Self::Viscous => s.omega[k],
+            Self::DryFriction => s.sign[k],
+            Self::Gain => push,
+            Self::Offset => 1.0,
+        }
+    }
+}
+
+/// A law that the list does not have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Law {
+    /// a constant that is another one at other times
+    InTime(Constant),
+    /// a constant that moves with the time of a run
+    WithTime(Constant),
+    /// a constant that is another one at other places
+    OfPlace(Constant),
+    /// an inertia that goes with the turn
+    OfTurn,
+    /// a torque of one frequency, whatever the motion [Hz]
+    Tone(f64),
+}
+
+impl Law {
+    /// As a sentence says it.
+    pub fn told(self) -> String {
+        match self {
+            Self::InTime(c) => format!("the {} is another one at other times", c.name()),
+            Self::WithTime(c) => format!("the {} moves with the time of a run", c.name()),
+            Self::OfPlace(c) => format!("the {} is another one at other places", c.name()),
+            Self::OfTurn => "the inertia goes with the angle within a turn".to_string(),
+            Self::Tone(hz) => format!("a torque of {hz:.2} Hz keeps its own time, whatever the motion"),
+        }
+    }
+}
+
+/// A law, and what it takes of what is left on the held-out runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Unlisted {
+    pub law: Law,
+    /// of what a model leaves
+    pub of_left: f64,
+    /// energy, over that which the model's effects explain; infinite without effects
+    pub of_explained: f64,
+}
+
+/// What a model leaves of the judged rows of the torque, 0 elsewhere.
+struct Left<'a> {
+    p: &'a Problem,
+    residual: Vec<f64>,
+    rows: f64,
+}
+
+impl<'a> Left<'a> {
+    fn new(side: &Side<'a>) -> Self {
+        let mut residual = vec![0.0; side.residual.len()];
+        side.rows.iter().for_each(|r| residual[*r] = side.residual[*r]);
+        Self {
+            p: side.p,
+            residual,
+            rows: side.rows.len().max(1) as f64,
+        }
+    }
+
+    fn energy(&self) -> f64 {
+        dot(&self.residual, &self.residual)
+    }
+}
+
+fn torque_blocks(p: &Problem) -> impl Iterator<Item = &Block> {
+    p.blocks.iter().filter(|b| b.equation == Equation::Torque)
+}
+
+fn column(p: &Problem, torque: impl Fn(&Signals, usize) -> f64) -> Vec<f64> {
+    let of = |s: &Signals| vec![Piece::of(Equation::Torque, 0, (0..s.n).map(|k| torque(s, k)).collect())];
+    p.column(&p.signals.iter().map(of).collect::<Vec<_>>())
+}
+
+/// Energy that a constant takes from the rows which is learnt from the neighbouring times, each while from the others, beyond what the same
+/// takes that is learnt from all other times.
+fn over_time(side: &Left, column: &[f64], trust: f64) -> f64 {
+    let rate = side.p.clock.rate_hz;
+    let mut taken = 0.0;
+    for b in torque_blocks(side.p) {
+        let mut whiles = BTreeMap::<usize, (f64, f64)>::new();
+        for (row, &k) in b.rows.clone().zip(&b.samples) {
+            let s = whiles.entry((k as f64 / rate / WHILE_S) as usize).or_default();
+            *s = (s.0 + column[row].powi(2), s.1 + column[row] * side.residual[row]);
+        }
+        let add = |a: (f64, f64), s: &(f64, f64)| (a.0 + s.0, a.1 + s.1);
+        let all = whiles.values().fold((0.0, 0.0), add);
+        let (mut near, mut whole) = (0.0, 0.0);
+        for (i, s) in &whiles {
+            let around = whiles.range(i.saturating_sub(NEAR)..=i + NEAR).filter(|n| n.0 != i);
+            let learnt = around.map(|n| n.1).fold((0.0, 0.0), add);
+            let of = |(xx, xy): (f64, f64)| {
+                let x = xy / (xx + trust);
+                2.0 * x * s.1 - x * x * s.0
+            };
+            near += of(learnt);
+            whole += of((all.0 - s.0, all.1 - s.1));
+        }
+        taken += near - f64::max(whole, 0.0);
+    }
+    taken
+}
+
+/// Share of what is left that a constant takes which is another one at other times.
+fn in_time(m: &Material, side: &Left, constant: Constant) -> f64 {
+    let c = column(side.p, |s, k| constant.torque(m, s, k));
+    let (left, rows) = (side.energy(), side.rows);
+    // so many rows' noise is as much as what is believed; of what the rig's own torque is not the scale of, four mean rows
+    let trust = match constant {
+        Constant::Inertia | Constant::Gain => left / rows / BELIEF.powi(2),
+        _ => 4.0 * dot(&c, &c) / rows,
+    };
+    over_time(side, &c, trust) / left.max(1e-300)
+}
+
+/// Energy of one frequency in the rows of all runs, each with a phase of its own.
+fn spectrum(side: &Left, length: usize, every: usize) -> Vec<f64> {
+    let mut power = vec![0.0; length / 2];
+    for b in torque_blocks(side.p) {
+        let (mut re, mut im) = (vec![0.0; length], vec![0.0; length]);
+        for (row, &k) in b.rows.clone().zip(&b.samples) {
+            re[(k / every).min(length - 1)] += side.residual[row];
+        }
+        transform(&mut re, &mut im);
+        let n = b.rows.len().max(1) as f64;
+        let of = re.iter().zip(&im).map(|(x, y)| 2.0 * (x * x + y * y) / n);
+        power.iter_mut().zip(of).for_each(|(p, x)| *p += x);
+    }
+    power
+}
+
+/// The frequency that stands out of what is left of the runs that find, and its share of what is left of those that prove.
+fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
+    let every = find.p.group().max(1);
+    let blocks = || torque_blocks(find.p).chain(torque_blocks(prove.p));
+    let longest = blocks().filter_map(|b| b.samples.last()).max()? / every + 1;
+    let length = (4 * longest).next_power_of_two().min(LONGEST);
+    let powers = [find, prove].map(|s| (spectrum(s, length, every), s.energy()));
+    let hz = find.p.clock.rate_hz / every as f64 / length as f64;
+    let first = (TONES_HZ.0 / hz).ceil() as usize;
+    let last = ((TONES_HZ.1 / hz) as usize).min((length / 2).saturating_sub(4));
+    let at = (first..last).max_by(|a, b| powers[0].0[*a].total_cmp(&powers[0].0[*b]))?;
+    // a run's own line is as wide as it is short
+    let near = at.saturating_sub(2)..=at + 2;
+    let stands = powers.map(|(power, left)| {
+        let wide = (NEIGHBOURS_HZ / hz) as usize;
+        let mut around = power[at.saturating_sub(wide).max(1)..(at + wide).min(power.len())].to_vec();
+        around.sort_by(f64::total_cmp);
+        let highest = power[near.clone()].iter().fold(0.0, |a: f64, b| a.max(*b));
+        let out = highest > STANDS_OUT * around[around.len() / 2];
+        (out, highest / left.max(1e-300))
+    });
+    let share = stands[0].1.min(stands[1].1);
+    (stands[0].0 && stands[1].0).then_some((at as f64 * hz, share))
+}
+
+/// Columns of the laws that one set of runs can say of another.
+fn lasting(m: &Material) -> Vec<(Law, Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_>)> {
+    let moving = |c: Constant| -> Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_> {
+        Box::new(move |p| vec![column(p, |s, k| c.torque(m, s, k) * k as f64 / s.rate_hz)])
+    };
+    let e = edges(&m.fit, Equation::Torque, Regressor::Position, PLACES);
+    let placed = |c: Constant| -> Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_> {
+        let e = e.clone();
+        Box::new(move |p| {
+            let of = |i: usize| {
+                let here = |s: &Signals, k: usize| bin(&e, s.theta[k]) == i;
+                column(p, |s, k| if here(s, k) { c.torque(m, s, k) } else { 0.0 })
+            };
+            (0..=e.len()).map(of).collect()
+        })
+    };
+    // d/dt (J w) - w^2/2 dJ/d(theta) with J = J0 (1 + a cos + b sin). The acceleration's noise has no sine of the turn
+    let turn = move |p: &Problem| {
+        let j = m.bench.rig.inertia.value;
+        let of = |n: f64| {
+            let parts = move |s: &Signals, k: usize| {
+                let (sin, cos) = (n * s.theta[k]).sin_cos();
+                (sin, cos, 0.5 * n * s.omega[k].powi(2), s.accel[k])
+            };
+            let cosine = move |s: &Signals, k: usize| {
+                let (sin, cos, spun, a) = parts(s, k);
+                j * (cos * a - spun * sin)
+            };
+            let sine = move |s: &Signals, k: usize| {
+                let (sin, cos, spun, a) = parts(s, k);
+                j * (sin * a + spun * cos)
+            };
+            [column(p, cosine), column(p, sine)]
+        };
+        ORDERS.into_iter().flat_map(of).collect::<Vec<_>>()
+    };
+    let with_time = [Constant::Gain, Constant::DryFriction, Constant::Offset].map(|c| (Law::WithTime(c), moving(c)));
+    let of_place = [Constant::Viscous, Constant::Inertia].map(|c| (Law::OfPlace(c), placed(c)));
+    let of_turn: [(Law, Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_>); 1] = [(Law::OfTurn, Box::new(turn))];
+    with_time.into_iter().chain(of_place).chain(of_turn).collect()
+}
+
+/// The law that the list does not have and that takes most of what a model leaves. `None` where none takes enough, and where no data are
+/// held out.
+///
+/// * `retuned` the model without effects
+pub fn unlisted(m: &Material, retuned: &Fit, model: &Fit) -> Option<Unlisted> {
+    m.held.as_ref()?;
+    let judged = m.judged_residual(model);
+    let prove = Side::new(m.held_problem(), m, model, m.held_residual(model), |row| {
+        judged[row] != 0.0
+    });
+    let find = Side::new(&m.fit, m, model, model.residual.clone(), |_| true);
+    let (found, proven) = (Left::new(&find), Left::new(&prove));
+    let left_of = proven.energy();
+    if left_of <= 0.0 {
+        return None;
+    }
+    let explained = match model.terms.is_empty() {
+        true => 0.0,
+        false => (prove.energy(&m.held_residual(retuned)) - left_of).max(0.0),
+    };
+    let mut seen: Vec<(Law, f64)> = Vec::new();
+    for c in Constant::ALL {
+        let share = in_time(m, &found, c);
+        if share > SEEN {
+            seen.push((Law::InTime(c), share.min(in_time(m, &proven, c))));
+        }
+    }
+    seen.extend(tone(&found, &proven).map(|(hz, share)| (Law::Tone(hz), share)));
+    let own = own_of(&find, m);
+    let alone = left((&find, &own), &prove, model, None)?;
+    for (law, columns) in lasting(m) {
+        if let Some(with) = left((&find, &own), &prove, model, Some(&*columns)) {
+            seen.push((law, (alone - with) / left_of));
+        }
+    }
+    let noise = proven.rows * prove.p.sensor_floor[Equation::Torque.index()].powi(2);
+    let beside = !model.terms.is_empty();
+    if let Some(instead) = (0..model.terms.len()).find_map(|t| instead(m, model, t, left_of)) {
+        return Some(instead);
+    }
+    if beside && left_of < BEYOND * noise {
+        return None;
+    }
+    let all = seen.into_iter().map(|(law, of_left)| Unlisted {
+        law,
+        of_left,
+        of_explained: of_left * left_of / explained,
+    });
+    let there = |u: &Unlisted| {
+        let (least, of_explained) = match u.law {
+            _ if !beside => (SEEN, 0.0),
+            // a friction whose law is a little another is another one at other times too
+            Law::InTime(_) | Law::WithTime(_) => (SEEN_BESIDE, MOST),
+            _ => (SEEN_BESIDE, LITTLE),
+        };
+        u.of_left > least && u.of_left * proven.rows > CLEAR && u.of_explained > of_explained
+    };
+    all.filter(there).max_by(|a, b| a.of_left.total_cmp(&b.of_left))
+}
+
+/// A law that leaves less than one of the effects does, in its place.
+///
+/// * `left_of` energy that the model leaves of the held-out rows
+fn instead(m: &Material, model: &Fit, term: usize, left_of: f64) -> Option<Unlisted> {
+    let kind = model.terms[term].kind;
+    // a load that swings for long on its spring is a tone; an angle's sensor off its centre seems to speed up and slow down within a turn
+    let alike = (
+        kind == EffectKind::Compliance,
+        has_order(kind) || kind == EffectKind::EncoderEccentricity,
+    );
+    if alike == (false, false) {
+        return None;
+    }
+    let less = m.without(model, term);
+    let judged = m.judged_residual(model);
+    let prove = Side::new(m.held_problem(), m, &less, m.held_residual(&less), |row| {
+        judged[row] != 0.0
+    });
+    let find = Side::new(&m.fit, m, &less, less.residual.clone(), |_| true);
+    let (found, proven) = (Left::new(&find), Left::new(&prove));
+    let all = proven.energy();
+    let law = match alike.0 {
+        true => tone(&found, &proven).map(|(hz, share)| (Law::Tone(hz), all * (1.0 - share))),
+        false => {
+            let own = own_of(&find, m);
+            let turn = lasting(m).into_iter().find(|l| l.0 == Law::OfTurn)?;
+            left((&find, &own), &prove, &less, Some(&*turn.1)).map(|l| (Law::OfTurn, l))
+        }
+    };
+    let (law, rest) = law?;
+    let better = rest < INSTEAD * left_of && (left_of - rest) * proven.rows > CLEAR * left_of;
+    // beside constants that were fitted with another law, and with rows left out, a line is not all of its tone
+    let rings = matches!(law, Law::Tone(_)) && rest < RINGS * all;
+    (better || rings).then(|| Unlisted {
+        law,
+        of_left: (all - rest) / all,
+        of_explained: (all - rest) / (all - left_of).max(1e-300),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measured::bench::Bench;
+    use crate::measured::check::check;
+    use crate::measured::recording::read_runs;
+    use crate::search::form::Strange;
+    use crate::search::study::{Outcome, study};
+    use crate::search::verdict::Verdict;
+    use rand::RngExt;
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng;
+    use std::f64::consts::TAU;
+    use std::fmt::Write;
+
+    const INERTIA: f64 = 1e-3;
+
+    /// Study of a rig whose motion is prescribed, and whose torque has something besides.
+    ///
+    /// * `besides` by run, time, angle, speed, acceleration and the torque without it
+    fn studied(besides: impl Fn(usize, [f64; 5]) -> f64) -> Outcome {
+        let dir = tempfile::tempdir().unwrap();
+        let mut bench = format!(
+            "[rig]\nkind = \"rotary\"\ndrive = \"torque\"\ninertia = {{ value = {INERTIA}, unit = \"kg m2\", trust = 0.2 }}\n\
+             viscous = {{ value = 4e-3, unit = \"N m s/rad\", trust = 0.3 }}\ncoulomb = {{ value = 0.2, unit = \"N m\", trust = 0.3 }}\n\
+             [channels]\ntime = {{ column = \"t\", unit = \"s\" }}\nposition = {{ column = \"x\", unit = \"rad\" }}\n\
+             torque = {{ column = \"torque\", unit = \"N m\" }}\n"
+        );
+        let mut noise = ChaCha8Rng::seed_from_u64(5);
+        let mut white = |size: f64| size * ((0..12).map(|_| noise.random::<f64>()).sum::<f64>() - 6.0);
+        for run in 0..3 {
+            let lines: Vec<[f64; 3]> = (0..4)
+                .map(|i| {
+                    let hz = 0.31 + 0.57 * f64::from(i) + 0.13 * run as f64;
+                    [1.5 / (1.0 + f64::from(i)), TAU * hz, 0.7 * run as f64 + f64::from(i)]
+                })
+                .collect();
+            let mut csv = "t,x,torque\n".to_string();
+            for k in 0..8000 {
+                let t = f64::from(k) * 1e-3;
+                let (mut x, mut w, mut a) = (0.0, 0.0, 0.0);
+                for [size, rate, phase] in &lines {
+                    let (sin, cos) = (rate * t + phase).sin_cos();
+                    (x, w, a) = (x + size * sin, w + size * rate * cos, a - size * rate * rate * sin);
+                }
+                let torque = 1.05 * INERTIA * a + 5e-3 * w + 0.22 * w.signum();
+                let torque = torque + besides(run, [t, x, w, a, torque]) + white(0.01);
+                writeln!(csv, "{t:.4},{:.8},{torque:.6}", x + white(2e-5)).unwrap();
+            }
+            std::fs::write(dir.path().join(format!("run{run}.csv")), csv).unwrap();
+            let role = if run == 2 { "heldout" } else { "fit" };
+            write!(
+                bench,
+                "[[run]]\nfile = \"run{run}.csv\"\nrole = \"{role}\"\nhealth = \"healthy\"\n"
+            )
+            .unwrap();
+        }
+        let file = dir.path().join("bench.toml");
+        std::fs::write(&file, bench).unwrap();
+        let bench = Bench::read(&file, None).unwrap();
+        let runs = read_runs(&bench).unwrap();
+        check(&bench, &runs).unwrap();
+        study(Material::new(bench, runs, &[]), &|_| {})
+    }
+
+    fn law(o: &Outcome) -> Option<Law> {
+        let names: Vec<_> = o.model.terms.iter().map(|t| t.kind).collect();
+        assert_eq!(o.verdict, Verdict::Unknown, "{names:?} {:?}", o.strange);
+        match o.strange {
+            Some(Strange::Unlisted(u)) => Some(u.law),
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn nothing_is_missing_where_nothing_is() {
+        let o = studied(|_, _| 0.0);
+        assert!(matches!(o.verdict, Verdict::None | Verdict::Retune), "{:?}", o.verdict);
+    }
+
+    #[test]
+    fn laws_that_the_list_does_not_have_are_told() {
+        let tone = studied(|run, [t, ..]| 0.03 * (TAU * 7.3 * t + run as f64).sin());
+        assert!(
+            matches!(law(&tone), Some(Law::Tone(hz)) if (hz - 7.3).abs() < 0.1),
+            "{:?}",
+            tone.strange
+        );
+        let drift = studied(|_, [t, _, _, _, torque]| torque * 0.04 * t);
+        assert!(
+            matches!(
+                law(&drift),
+                Some(Law::WithTime(Constant::Gain) | Law::InTime(Constant::Gain))
+            ),
+            "{:?}",
+            drift.strange
+        );
+        // taken up and put down, each run at moments of its own
+        let payload = studied(|run, [t, _, _, a, _]| {
+            let held = (2.0 + 0.3 * run as f64..5.0 + 0.4 * run as f64).contains(&t);
+            if held { 0.6 * INERTIA * a } else { 0.0 }
+        });
+        assert_eq!(
+            law(&payload),
+            Some(Law::InTime(Constant::Inertia)),
+            "{:?}",
+            payload.strange
+        );
+        let linkage = studied(|_, [_, x, w, a, _]| 0.4 * INERTIA * (x.cos() * a - 0.5 * x.sin() * w * w));
+        assert!(
+            matches!(law(&linkage), Some(Law::OfTurn)),
+            "{:?} {:?}",
+            linkage.verdict,
+            linkage.strange
+        );
+    }
+}
