@@ -246,21 +246,19 @@ fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
     (stands[0].0 && stands[1].0).then_some((at as f64 * hz, share))
 }
 
+/// Columns of a law.
+type Columns<'a> = Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + 'a>;
+
 /// Columns of the laws that one set of runs can say of another.
-fn lasting(m: &Material) -> Vec<(Law, Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_>)> {
-    let moving = |c: Constant| -> Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_> {
+fn lasting(m: &Material) -> Vec<(Law, Columns<'_>)> {
+    let moving = |c: Constant| -> Columns<'_> {
         Box::new(move |p| vec![column(p, |s, k| c.torque(m, s, k) * k as f64 / s.rate_hz)])
     };
     let e = edges(&m.fit, Equation::Torque, Regressor::Position, PLACES);
-    let placed = |c: Constant| -> Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_> {
-        let e = e.clone();
-        Box::new(move |p| {
-            let of = |i: usize| {
-                let here = |s: &Signals, k: usize| bin(&e, s.theta[k]) == i;
-                column(p, |s, k| if here(s, k) { c.torque(m, s, k) } else { 0.0 })
-            };
-            (0..=e.len()).map(of).collect()
-        })
+    // no inertia by the place: the torque that is left to it has the noise of the drive, which it could take out as a whole
+    let placed = move |p: &Problem| {
+        let of = |i: usize| column(p, |s, k| if bin(&e, s.theta[k]) == i { s.omega[k] } else { 0.0 });
+        (0..=e.len()).map(of).collect::<Vec<_>>()
     };
     // d/dt (J w) - w^2/2 dJ/d(theta) with J = J0 (1 + a cos + b sin). The acceleration's noise has no sine of the turn
     let turn = move |p: &Problem| {
@@ -283,9 +281,10 @@ fn lasting(m: &Material) -> Vec<(Law, Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_
         ORDERS.into_iter().flat_map(of).collect::<Vec<_>>()
     };
     let with_time = [Constant::Gain, Constant::DryFriction, Constant::Offset].map(|c| (Law::WithTime(c), moving(c)));
-    let of_place = [Constant::Viscous, Constant::Inertia].map(|c| (Law::OfPlace(c), placed(c)));
-    let of_turn: [(Law, Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + '_>); 1] = [(Law::OfTurn, Box::new(turn))];
-    with_time.into_iter().chain(of_place).chain(of_turn).collect()
+    let mut all: Vec<(Law, Columns)> = with_time.into_iter().collect();
+    all.push((Law::OfPlace(Constant::Viscous), Box::new(placed)));
+    all.push((Law::OfTurn, Box::new(turn)));
+    all
 }
 
 /// The law that the list does not have and that takes most of what a model leaves. `None` where none takes enough, and where no data are
@@ -320,7 +319,8 @@ pub fn unlisted(m: &Material, retuned: &Fit, model: &Fit) -> Option<Unlisted> {
     let alone = left((&find, &own), &prove, model, None)?;
     for (law, columns) in lasting(m) {
         if let Some(with) = left((&find, &own), &prove, model, Some(&*columns)) {
-            seen.push((law, (alone - with) / left_of));
+            // constants that are learnt once more beside it may leave more than the model does, or less
+            seen.push((law, (alone.min(left_of) - with) / left_of));
         }
     }
     let noise = proven.rows * prove.p.sensor_floor[Equation::Torque.index()].powi(2);
