@@ -11,7 +11,7 @@ use crate::search::form::{MOST, Side, left, own_of};
 use crate::search::remainder::{Regressor, bin, edges};
 use crate::search::select::Material;
 use crate::search::spectrum::transform;
-use crate::search::verdict::BEYOND;
+use crate::search::verdict::{BEYOND, WORTH};
 use sim_worker::effect::{EffectKind, Equation};
 use std::collections::BTreeMap;
 
@@ -40,6 +40,8 @@ const TONES_HZ: (f64, f64) = (0.5, 100.0);
 /// Power of a tone over the median of its neighbours' (assumed: without one up to 15), on either side of so much [Hz].
 const STANDS_OUT: f64 = 30.0;
 const NEIGHBOURS_HZ: f64 = 3.0;
+/// Frequencies on either side that a median takes at least.
+const LEAST_NEIGHBOURS: usize = 8;
 /// Longest transform of a run.
 const LONGEST: usize = 1 << 17;
 /// Pieces of the travel in which a constant is one.
@@ -235,7 +237,7 @@ fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
     // a run's own line is as wide as it is short
     let near = at.saturating_sub(2)..=at + 2;
     let stands = powers.map(|(power, left)| {
-        let wide = (NEIGHBOURS_HZ / hz) as usize;
+        let wide = ((NEIGHBOURS_HZ / hz) as usize).max(LEAST_NEIGHBOURS);
         let mut around = power[at.saturating_sub(wide).max(1)..(at + wide).min(power.len())].to_vec();
         around.sort_by(f64::total_cmp);
         let highest = power[near.clone()].iter().fold(0.0, |a: f64, b| a.max(*b));
@@ -303,6 +305,15 @@ pub fn unlisted(m: &Material, retuned: &Fit, model: &Fit) -> Option<Unlisted> {
     if left_of <= 0.0 {
         return None;
     }
+    let noise = proven.rows * prove.p.sensor_floor[Equation::Torque.index()].powi(2);
+    let beside = !model.terms.is_empty();
+    if let Some(instead) = (0..model.terms.len()).find_map(|t| instead(m, model, t, left_of)) {
+        return Some(instead);
+    }
+    // what is within the noise may keep a time of its own, or have whatever form a noise has
+    if left_of < if beside { BEYOND } else { WORTH } * noise {
+        return None;
+    }
     let explained = match model.terms.is_empty() {
         true => 0.0,
         false => (prove.energy(&m.held_residual(retuned)) - left_of).max(0.0),
@@ -322,14 +333,6 @@ pub fn unlisted(m: &Material, retuned: &Fit, model: &Fit) -> Option<Unlisted> {
             // constants that are learnt once more beside it may leave more than the model does, or less
             seen.push((law, (alone.min(left_of) - with) / left_of));
         }
-    }
-    let noise = proven.rows * prove.p.sensor_floor[Equation::Torque.index()].powi(2);
-    let beside = !model.terms.is_empty();
-    if let Some(instead) = (0..model.terms.len()).find_map(|t| instead(m, model, t, left_of)) {
-        return Some(instead);
-    }
-    if beside && left_of < BEYOND * noise {
-        return None;
     }
     let all = seen.into_iter().map(|(law, of_left)| Unlisted {
         law,
