@@ -124,13 +124,11 @@ fn products(columns: &[Vec<f64>], first: usize) -> Vec<Vec<f64>> {
     (first..columns.len()).map(of).collect()
 }
 
+/// Columns of a form, or of a law, over the rows of a problem.
+pub(super) type Columns<'a> = dyn Fn(&Problem) -> Vec<Vec<f64>> + 'a;
+
 /// Energy that is left of the held-out rows with a form learnt on the fit runs, constants and amplitudes learnt once more beside it.
-pub(super) fn left(
-    (find, own): (&Side, &Own),
-    prove: &Side,
-    model: &Fit,
-    form: Option<&dyn Fn(&Problem) -> Vec<Vec<f64>>>,
-) -> Option<f64> {
+pub(super) fn left((find, own): (&Side, &Own), prove: &Side, model: &Fit, form: Option<&Columns<'_>>) -> Option<f64> {
     let hats = |p: &Problem| form.map_or_else(Vec::new, |f| f(p));
     let of_model = find.columns.len();
     let (mut columns, mut lower) = own.clone();

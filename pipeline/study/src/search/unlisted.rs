@@ -7,7 +7,7 @@ use crate::equations::problem::{Block, Problem};
 use crate::equations::signals::Signals;
 use crate::measured::sums::dot;
 use crate::search::fit::Fit;
-use crate::search::form::{MOST, Side, left, own_of};
+use crate::search::form::{Columns, MOST, Side, left, own_of};
 use crate::search::remainder::{Regressor, bin, edges};
 use crate::search::select::Material;
 use crate::search::spectrum::transform;
@@ -248,12 +248,9 @@ fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
     (stands[0].0 && stands[1].0).then_some((at as f64 * hz, share))
 }
 
-/// Columns of a law.
-type Columns<'a> = Box<dyn Fn(&Problem) -> Vec<Vec<f64>> + 'a>;
-
 /// Columns of the laws that one set of runs can say of another.
-fn lasting(m: &Material) -> Vec<(Law, Columns<'_>)> {
-    let moving = |c: Constant| -> Columns<'_> {
+fn lasting(m: &Material) -> Vec<(Law, Box<Columns<'_>>)> {
+    let moving = |c: Constant| -> Box<Columns<'_>> {
         Box::new(move |p| vec![column(p, |s, k| c.torque(m, s, k) * k as f64 / s.rate_hz)])
     };
     let e = edges(&m.fit, Equation::Torque, Regressor::Position, PLACES);
@@ -283,7 +280,7 @@ fn lasting(m: &Material) -> Vec<(Law, Columns<'_>)> {
         ORDERS.into_iter().flat_map(of).collect::<Vec<_>>()
     };
     let with_time = [Constant::Gain, Constant::DryFriction, Constant::Offset].map(|c| (Law::WithTime(c), moving(c)));
-    let mut all: Vec<(Law, Columns)> = with_time.into_iter().collect();
+    let mut all: Vec<(Law, Box<Columns>)> = with_time.into_iter().collect();
     all.push((Law::OfPlace(Constant::Viscous), Box::new(placed)));
     all.push((Law::OfTurn, Box::new(turn)));
     all
