@@ -329,14 +329,11 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
     let Some(Straight { x, g, energy }) = straight(bench, runs, corner, scale) else {
         return Ok(None);
     };
-    // share of the torque's energy that the inertia term makes: too little tells nothing
-    let inertial = x[0] * x[0] * g[(0, 0)] / energy.max(1e-300);
-    let frictional = x[2] * x[2] * g[(2, 2)] / energy.max(1e-300);
-    let told = inertial > 0.02;
+    // share of the torque's energy that a term makes: too little of the inertia's tells nothing
+    let share = |term: usize| x[term] * x[term] * g[(term, term)] / energy.max(1e-300);
+    let (told, frictional) = (share(0) > 0.02, share(2));
     // nobody's sign or unit makes an inertia negative and leaves a friction that brakes: a spring does
-    let viscous = x[1] * x[1] * g[(1, 1)] / energy.max(1e-300);
-    let brakes = [(x[1], viscous), (x[2], frictional)];
-    let braked: f64 = brakes.iter().map(|(x, share)| x.signum() * share).sum();
+    let braked: f64 = [1, 2].iter().map(|t| x[*t].signum() * share(*t)).sum();
     if x[0] < 0.0 && braked > BRAKED {
         return Ok(None);
     }
@@ -367,6 +364,20 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::measured::prescribed::{INERTIA, rig};
+
+    #[test]
+    fn a_stiff_spring_is_no_reversed_sign() {
+        let (bench, runs) = rig(|_, [_, x, ..]| 0.25 * x);
+        let fit = straight(&bench, &[&runs[0]], NARROW, [INERTIA, 1.0, 1.0]).unwrap();
+        let inertial = fit.x[0] * fit.x[0] * fit.g[(0, 0)] / fit.energy;
+        assert!(fit.x[0] < 0.0 && inertial > 0.02, "{} {inertial}", fit.x[0]);
+        check(&bench, &runs).unwrap();
+        // a reversed sign is one
+        let (bench, runs) = rig(|_, [_, _, _, _, torque]| -2.0 * torque);
+        let said = check(&bench, &runs).unwrap_err().to_string();
+        assert!(said.contains("reversed sign"), "{said}");
+    }
 
     #[test]
     fn prop_the_nearest_factor_is_the_likely_cause() {

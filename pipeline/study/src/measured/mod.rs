@@ -7,6 +7,8 @@ pub mod noise;
 mod one_constant;
 pub mod own;
 mod points;
+#[cfg(test)]
+pub(crate) mod prescribed;
 pub mod recording;
 pub(crate) mod rows;
 pub mod samples;

@@ -1,29 +1,18 @@
 //! Whether what effects leave has a form of its own: a law of a signal that the list does not have.
 
 use crate::candidates::shapes::has_order;
-use crate::equations::pieces::Piece;
 use crate::equations::problem::{Block, Problem};
 use crate::equations::signals::Signals;
 use crate::measured::recording::extent;
-use crate::measured::sums::dot;
-use crate::search::fit::{self, Fit, Term};
+use crate::search::fit::{Fit, Term};
 use crate::search::remainder::{Regressor, edges};
-use crate::search::select::Material;
+use crate::search::trial::{CLEAR, MOST, Trial, torque_blocks, torque_column};
 use crate::search::unlisted::Unlisted;
 use crate::search::verdict::BEYOND;
-use nalgebra::{DMatrix, DVector};
 use sim_worker::effect::{EffectKind, Equation};
 
 /// Pieces of a form, as many samples in each.
 const PIECES: usize = 12;
-/// Share of what the effects explain that a form may take beside them (assumed: laws of the list left up to 0.004, a spring with a
-/// cubic part 0.14, what is none of them up to 2).
-pub(super) const MOST: f64 = 0.2;
-/// Energy that a form takes, over that of a row, from which it is one (assumed).
-const CLEAR: f64 = 100.0;
-/// Keeps columns that are sums of others apart.
-const RIDGE: f64 = 1e-7;
-
 /// Why what was found is not what is there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Strange {
@@ -52,8 +41,7 @@ struct Hats {
 impl Hats {
     fn new(p: &Problem, of: Regressor, signed: bool) -> Option<Self> {
         let samples = |b: &Block| -> Vec<f64> { b.samples.iter().map(|&k| of.value(&p.signals[b.run], k)).collect() };
-        let torque = p.blocks.iter().filter(|b| b.equation == Equation::Torque);
-        let (low, high) = extent(torque.flat_map(samples));
+        let (low, high) = extent(torque_blocks(p).flat_map(samples));
         let mut knots = vec![low];
         knots.extend(edges(p, Equation::Torque, of, PIECES));
         knots.push(high);
@@ -73,125 +61,28 @@ impl Hats {
     }
 
     fn columns(&self, p: &Problem) -> Vec<Vec<f64>> {
-        let of_knot = |i: usize| {
-            let of_run = |s: &Signals| {
-                let torque = |k: usize| self.hat(i, self.of.value(s, k)) * if self.signed { s.sign[k] } else { 1.0 };
-                vec![Piece::of(Equation::Torque, 0, (0..s.n).map(torque).collect())]
-            };
-            p.column(&p.signals.iter().map(of_run).collect::<Vec<_>>())
-        };
+        let signed = |s: &Signals, k: usize| if self.signed { s.sign[k] } else { 1.0 };
+        let of_knot = |i: usize| torque_column(p, |s, k| self.hat(i, self.of.value(s, k)) * signed(s, k));
         (0..self.knots.len()).map(of_knot).collect()
     }
 }
 
-/// The rows of one problem that are judged, what a model leaves of them, and its columns.
-pub(super) struct Side<'a> {
-    pub p: &'a Problem,
-    pub residual: Vec<f64>,
-    pub rows: Vec<usize>,
-    columns: Vec<Vec<f64>>,
-}
-
-impl<'a> Side<'a> {
-    /// * `judged` whether a row is
-    pub fn new(p: &'a Problem, m: &Material, model: &Fit, residual: Vec<f64>, judged: impl Fn(usize) -> bool) -> Self {
-        let torque = p.blocks.iter().filter(|b| b.equation == Equation::Torque);
-        let regressors = fit::regressors(p, &model.terms, &m.constants);
-        let amplitudes = regressors.into_iter().flat_map(|r| r.linear);
-        Self {
-            rows: torque.flat_map(|b| b.rows.clone()).filter(|r| judged(*r)).collect(),
-            columns: p.base.iter().cloned().chain(amplitudes).collect(),
-            residual,
-            p,
-        }
-    }
-
-    fn judged(&self, column: &[f64]) -> Vec<f64> {
-        self.rows.iter().map(|r| column[*r]).collect()
-    }
-
-    pub fn energy(&self, residual: &[f64]) -> f64 {
-        self.rows.iter().map(|r| residual[*r].powi(2)).sum()
-    }
-}
-
-/// Judged columns of a model and of single runs on the fit runs, and their products.
-pub(super) type Own = (Vec<Vec<f64>>, Vec<Vec<f64>>);
-
-/// Products of columns with each other and those before them, from column `first` on.
-fn products(columns: &[Vec<f64>], first: usize) -> Vec<Vec<f64>> {
-    let of = |i: usize| columns[..=i].iter().map(|c| dot(&columns[i], c)).collect();
-    (first..columns.len()).map(of).collect()
-}
-
-/// Columns of a form, or of a law, over the rows of a problem.
-pub(super) type Columns<'a> = dyn Fn(&Problem) -> Vec<Vec<f64>> + 'a;
-
-/// Energy that is left of the held-out rows with a form learnt on the fit runs, constants and amplitudes learnt once more beside it.
-pub(super) fn left((find, own): (&Side, &Own), prove: &Side, model: &Fit, form: Option<&Columns<'_>>) -> Option<f64> {
-    let hats = |p: &Problem| form.map_or_else(Vec::new, |f| f(p));
-    let of_model = find.columns.len();
-    let (mut columns, mut lower) = own.clone();
-    columns.extend(hats(find.p).iter().map(|c| find.judged(c)));
-    lower.extend(products(&columns, lower.len()));
-    let y = find.judged(&find.residual);
-    let n = columns.len();
-    let norms: Vec<f64> = (0..n).map(|i| lower[i][i].sqrt().max(1e-150)).collect();
-    let mut gram = DMatrix::from_fn(n, n, |i, j| lower[i.max(j)][i.min(j)] / (norms[i] * norms[j]));
-    for (j, trust) in model
-        .believed
-        .iter()
-        .enumerate()
-        .filter_map(|(j, b)| Some((j, b.trust?)))
-    {
-        gram[(j, j)] += (model.sigma[Equation::Torque.index()] / trust.max(1e-9) / norms[j]).powi(2);
-    }
-    for i in 0..n {
-        gram[(i, i)] += RIDGE;
-    }
-    let x = gram
-        .cholesky()?
-        .solve(&DVector::from_fn(n, |i, _| dot(&columns[i], &y) / norms[i]));
-    let mut r = prove.residual.clone();
-    let learnt = (0..of_model).chain(of_model + find.p.local.len()..n);
-    for (i, column) in learnt.zip(prove.columns.iter().chain(&hats(prove.p))) {
-        let size = x[i] / norms[i];
-        r.iter_mut().zip(column).for_each(|(r, c)| *r -= size * c);
-    }
-    Some(prove.energy(&fit::without_local(prove.p, r, &model.sigma)))
-}
-
-/// Of the fit runs.
-pub(super) fn own_of(find: &Side, m: &Material) -> Own {
-    let all = find.columns.iter().chain(&m.fit.local);
-    let columns: Vec<Vec<f64>> = all.map(|c| find.judged(c)).collect();
-    let lower = products(&columns, 0);
-    (columns, lower)
-}
-
-/// What the list does not have, though effects of it were found. Nothing where no data are held out.
+/// What the list does not have, though effects of it were found.
 ///
 /// * `retuned` the model without effects
-pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
-    m.held.as_ref()?;
-    if composed(&model.terms) {
+pub fn strange(trial: &Trial, retuned: &Fit) -> Option<Strange> {
+    let m = trial.m;
+    if composed(&trial.model.terms) {
         return Some(Strange::Composed);
     }
-    let judged = m.judged_residual(model);
-    let prove = Side::new(m.held_problem(), m, model, m.held_residual(model), |row| {
-        judged[row] != 0.0
-    });
-    let left_of = prove.energy(&prove.residual);
-    let explained = prove.energy(&m.held_residual(retuned)) - left_of;
-    let clear = CLEAR * left_of / prove.rows.len().max(1) as f64;
+    let left_of = trial.left();
+    let explained = trial.prove.energy(&m.held_residual(retuned)) - left_of;
+    let clear = CLEAR * left_of / trial.prove.rows.len().max(1) as f64;
     // what is within the noise has no form but that of a noise that stands in the regressors too
-    let noise = prove.rows.len() as f64 * prove.p.sensor_floor[Equation::Torque.index()].powi(2);
-    if explained < clear || left_of < BEYOND * noise {
+    if explained < clear || left_of < BEYOND * trial.noise() {
         return None;
     }
-    let find = Side::new(&m.fit, m, model, model.residual.clone(), |_| true);
-    let own = own_of(&find, m);
-    let alone = left((&find, &own), &prove, model, None)?;
+    let alone = trial.left_alone()?;
     let laws = [
         (Regressor::Speed, false),
         (Regressor::Position, false),
@@ -202,7 +93,7 @@ pub fn strange(m: &Material, retuned: &Fit, model: &Fit) -> Option<Strange> {
     let told = |of: Regressor| of != Regressor::Drive || !m.bench.has_phases();
     let forms = laws.into_iter().filter(|l| told(l.0)).filter_map(|(of, signed)| {
         let hats = Hats::new(&m.fit, of, signed)?;
-        let taken = alone - left((&find, &own), &prove, model, Some(&|p| hats.columns(p)))?;
+        let taken = alone - trial.left_with(&|p| hats.columns(p))?;
         let share = taken / explained;
         (taken > clear && share > MOST).then_some((share, Strange::Form { of, signed, share }))
     });

@@ -14,5 +14,6 @@ mod shadow;
 pub mod spectrum;
 pub mod study;
 pub mod supply;
+mod trial;
 pub mod unlisted;
 pub mod verdict;

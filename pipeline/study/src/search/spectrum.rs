@@ -1,4 +1,4 @@
-//! The spectrum of a residual over the rotor's angle: which orders of the turn stand out.
+//! The spectrum of a residual: over the rotor's angle, which orders of the turn stand out; over time.
 
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
@@ -12,7 +12,7 @@ const BINS: f64 = 128.0;
 /// Highest order that is looked for.
 const HIGHEST: f64 = 48.0;
 /// Longest transform.
-const LONGEST: usize = 1 << 17;
+pub const LONGEST: usize = 1 << 17;
 /// Orders that are given on.
 const PEAKS: usize = 4;
 
@@ -55,8 +55,27 @@ pub fn orders(p: &Problem, residual: &[f64], factor: Factor) -> Vec<f64> {
     peaks.iter().take(PEAKS).map(|&i| order(i)).collect()
 }
 
+/// Energy of each frequency in the residual of the torque's rows, each run with a phase of its own.
+///
+/// * `length` of the transform, a power of two: of two entries there is one frequency
+/// * `every` samples in an entry
+pub fn over_time(p: &Problem, residual: &[f64], length: usize, every: usize) -> Vec<f64> {
+    let mut power = vec![0.0; length / 2];
+    for b in p.blocks.iter().filter(|b| b.equation == Equation::Torque) {
+        let (mut re, mut im) = (vec![0.0; length], vec![0.0; length]);
+        for (row, &k) in b.rows.clone().zip(&b.samples) {
+            re[(k / every).min(length - 1)] += residual[row];
+        }
+        transform(&mut re, &mut im);
+        let n = b.rows.len().max(1) as f64;
+        let of = re.iter().zip(&im).map(|(x, y)| 2.0 * (x * x + y * y) / n);
+        power.iter_mut().zip(of).for_each(|(p, x)| *p += x);
+    }
+    power
+}
+
 /// Discrete Fourier transform in place (Cooley and Tukey 1965); the length is a power of two.
-pub(super) fn transform(re: &mut [f64], im: &mut [f64]) {
+fn transform(re: &mut [f64], im: &mut [f64]) {
     let n = re.len();
     let bits = n.trailing_zeros();
     for i in 0..n {

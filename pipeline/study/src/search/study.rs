@@ -13,6 +13,7 @@ use crate::search::judge::{LEAST_GAIN, OTHERWISE, SLOW_EXCESS, SLOWEST, Step, TW
 use crate::search::remainder;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
+use crate::search::trial::Trial;
 use crate::search::unlisted::unlisted;
 use crate::search::verdict::{SLOW_S, Verdict, WORTH, conclude};
 use sim_worker::effect::{EffectKind, Equation, Law};
@@ -326,13 +327,15 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         verdict,
         Verdict::Named | Verdict::NamedWithRemainder | Verdict::Ambiguous
     );
-    let law = || unlisted(&m, &retuned, &model).map(Strange::Unlisted);
-    let strange = match (told, model.terms.is_empty()) {
-        (true, false) => form::strange(&m, &retuned, &model).or_else(law),
-        // found beside the equations
-        (true, true) => None,
-        (false, _) => law(),
-    };
+    let strange = Trial::new(&m, &model).and_then(|trial| {
+        let law = || unlisted(&trial, &retuned).map(Strange::Unlisted);
+        match (told, model.terms.is_empty()) {
+            (true, false) => form::strange(&trial, &retuned).or_else(law),
+            // found beside the equations
+            (true, true) => None,
+            (false, _) => law(),
+        }
+    });
     if strange.is_some() {
         verdict = Verdict::Unknown;
     }

@@ -2,18 +2,18 @@
 //! goes with the turn, a torque that keeps its own time.
 
 use crate::candidates::shapes::has_order;
-use crate::equations::pieces::Piece;
-use crate::equations::problem::{Block, Problem};
+use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::sums::dot;
 use crate::search::fit::Fit;
-use crate::search::form::{Columns, MOST, Side, left, own_of};
 use crate::search::remainder::{Regressor, bin, edges};
 use crate::search::select::Material;
-use crate::search::spectrum::transform;
+use crate::search::spectrum::{LONGEST, over_time};
+use crate::search::trial::{CLEAR, Columns, MOST, Side, Trial, torque_blocks, torque_column};
 use crate::search::verdict::{BEYOND, WORTH};
 use sim_worker::effect::{EffectKind, Equation};
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_2;
 
 /// Share of what is left that a law takes from which it is there, on the runs that find and on those that prove (assumed: rigs of
 /// another hand in which nothing is hidden left up to 0.07).
@@ -27,8 +27,6 @@ const LITTLE: f64 = 0.04;
 const INSTEAD: f64 = 0.97;
 /// Share of what is left without a spring below which one tone brings it that does not stop (assumed: springs have none that stands out).
 const RINGS: f64 = 0.5;
-/// Energy that it takes at least, over that of a row (assumed).
-const CLEAR: f64 = 100.0;
 /// Time over which a constant is one [s] (assumed).
 const WHILE_S: f64 = 0.25;
 /// Whiles on either side that say what it is.
@@ -42,8 +40,6 @@ const STANDS_OUT: f64 = 30.0;
 const NEIGHBOURS_HZ: f64 = 3.0;
 /// Frequencies on either side that a median takes at least.
 const LEAST_NEIGHBOURS: usize = 8;
-/// Longest transform of a run.
-const LONGEST: usize = 1 << 17;
 /// Pieces of the travel in which a constant is one.
 const PLACES: usize = 8;
 /// Orders of the turn with which an inertia may go.
@@ -103,8 +99,8 @@ pub enum Law {
     InTime(Constant),
     /// a constant that moves with the time of a run
     WithTime(Constant),
-    /// a constant that is another one at other places
-    OfPlace(Constant),
+    /// a viscous friction that is another one at other places
+    OfPlace,
     /// an inertia that goes with the turn
     OfTurn,
     /// a torque of one frequency, whatever the motion [Hz]
@@ -117,21 +113,19 @@ impl Law {
         match self {
             Self::InTime(c) => format!("the {} is another one at other times", c.name()),
             Self::WithTime(c) => format!("the {} moves with the time of a run", c.name()),
-            Self::OfPlace(c) => format!("the {} is another one at other places", c.name()),
+            Self::OfPlace => "the viscous friction is another one at other places".to_string(),
             Self::OfTurn => "the inertia goes with the angle within a turn".to_string(),
             Self::Tone(hz) => format!("a torque of {hz:.2} Hz keeps its own time, whatever the motion"),
         }
     }
 }
 
-/// A law, and what it takes of what is left on the held-out runs.
+/// A law, and what it takes on the held-out runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unlisted {
     pub law: Law,
-    /// of what a model leaves
+    /// of the energy that a model leaves without it
     pub of_left: f64,
-    /// energy, over that which the model's effects explain; infinite without effects
-    pub of_explained: f64,
 }
 
 /// What a model leaves of the judged rows of the torque, 0 elsewhere.
@@ -157,18 +151,9 @@ impl<'a> Left<'a> {
     }
 }
 
-fn torque_blocks(p: &Problem) -> impl Iterator<Item = &Block> {
-    p.blocks.iter().filter(|b| b.equation == Equation::Torque)
-}
-
-fn column(p: &Problem, torque: impl Fn(&Signals, usize) -> f64) -> Vec<f64> {
-    let of = |s: &Signals| vec![Piece::of(Equation::Torque, 0, (0..s.n).map(|k| torque(s, k)).collect())];
-    p.column(&p.signals.iter().map(of).collect::<Vec<_>>())
-}
-
 /// Energy that a constant takes from the rows which is learnt from the neighbouring times, each while from the others, beyond what the same
 /// takes that is learnt from all other times.
-fn over_time(side: &Left, column: &[f64], trust: f64) -> f64 {
+fn taken_in_time(side: &Left, column: &[f64], trust: f64) -> f64 {
     let rate = side.p.clock.rate_hz;
     let mut taken = 0.0;
     for b in torque_blocks(side.p) {
@@ -197,30 +182,14 @@ fn over_time(side: &Left, column: &[f64], trust: f64) -> f64 {
 
 /// Share of what is left that a constant takes which is another one at other times.
 fn in_time(m: &Material, side: &Left, constant: Constant) -> f64 {
-    let c = column(side.p, |s, k| constant.torque(m, s, k));
+    let c = torque_column(side.p, |s, k| constant.torque(m, s, k));
     let (left, rows) = (side.energy(), side.rows);
     // so many rows' noise is as much as what is believed; of what the rig's own torque is not the scale of, four mean rows
     let trust = match constant {
         Constant::Inertia | Constant::Gain => left / rows / BELIEF.powi(2),
         _ => 4.0 * dot(&c, &c) / rows,
     };
-    over_time(side, &c, trust) / left.max(1e-300)
-}
-
-/// Energy of one frequency in the rows of all runs, each with a phase of its own.
-fn spectrum(side: &Left, length: usize, every: usize) -> Vec<f64> {
-    let mut power = vec![0.0; length / 2];
-    for b in torque_blocks(side.p) {
-        let (mut re, mut im) = (vec![0.0; length], vec![0.0; length]);
-        for (row, &k) in b.rows.clone().zip(&b.samples) {
-            re[(k / every).min(length - 1)] += side.residual[row];
-        }
-        transform(&mut re, &mut im);
-        let n = b.rows.len().max(1) as f64;
-        let of = re.iter().zip(&im).map(|(x, y)| 2.0 * (x * x + y * y) / n);
-        power.iter_mut().zip(of).for_each(|(p, x)| *p += x);
-    }
-    power
+    taken_in_time(side, &c, trust) / left.max(1e-300)
 }
 
 /// The frequency that stands out of what is left of the runs that find, and its share of what is left of those that prove.
@@ -229,7 +198,7 @@ fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
     let blocks = || torque_blocks(find.p).chain(torque_blocks(prove.p));
     let longest = blocks().filter_map(|b| b.samples.last()).max()? / every + 1;
     let length = (4 * longest).next_power_of_two().min(LONGEST);
-    let powers = [find, prove].map(|s| (spectrum(s, length, every), s.energy()));
+    let powers = [find, prove].map(|s| (over_time(s.p, &s.residual, length, every), s.energy()));
     let hz = find.p.clock.rate_hz / every as f64 / length as f64;
     let first = (TONES_HZ.0 / hz).ceil() as usize;
     let last = ((TONES_HZ.1 / hz) as usize).min((length / 2).saturating_sub(4));
@@ -248,94 +217,76 @@ fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
     (stands[0].0 && stands[1].0).then_some((at as f64 * hz, share))
 }
 
-/// Columns of the laws that one set of runs can say of another.
-fn lasting(m: &Material) -> Vec<(Law, Box<Columns<'_>>)> {
-    let moving = |c: Constant| -> Box<Columns<'_>> {
-        Box::new(move |p| vec![column(p, |s, k| c.torque(m, s, k) * k as f64 / s.rate_hz)])
-    };
-    let e = edges(&m.fit, Equation::Torque, Regressor::Position, PLACES);
-    // no inertia by the place: the torque that is left to it has the noise of the drive, which it could take out as a whole
-    let placed = move |p: &Problem| {
-        let of = |i: usize| column(p, |s, k| if bin(&e, s.theta[k]) == i { s.omega[k] } else { 0.0 });
-        (0..=e.len()).map(of).collect::<Vec<_>>()
-    };
-    // d/dt (J w) - w^2/2 dJ/d(theta) with J = J0 (1 + a cos + b sin). The acceleration's noise has no sine of the turn
-    let turn = move |p: &Problem| {
-        let j = m.bench.rig.inertia.value;
-        let of = |n: f64| {
-            let parts = move |s: &Signals, k: usize| {
-                let (sin, cos) = (n * s.theta[k]).sin_cos();
-                (sin, cos, 0.5 * n * s.omega[k].powi(2), s.accel[k])
-            };
-            let cosine = move |s: &Signals, k: usize| {
-                let (sin, cos, spun, a) = parts(s, k);
-                j * (cos * a - spun * sin)
-            };
-            let sine = move |s: &Signals, k: usize| {
-                let (sin, cos, spun, a) = parts(s, k);
-                j * (sin * a + spun * cos)
-            };
-            [column(p, cosine), column(p, sine)]
-        };
-        ORDERS.into_iter().flat_map(of).collect::<Vec<_>>()
-    };
-    let with_time = [Constant::Gain, Constant::DryFriction, Constant::Offset].map(|c| (Law::WithTime(c), moving(c)));
-    let mut all: Vec<(Law, Box<Columns>)> = with_time.into_iter().collect();
-    all.push((Law::OfPlace(Constant::Viscous), Box::new(placed)));
-    all.push((Law::OfTurn, Box::new(turn)));
-    all
+/// Columns of a constant that moves with the time of a run.
+fn moving(m: &Material, p: &Problem, constant: Constant) -> Vec<Vec<f64>> {
+    vec![torque_column(p, |s, k| constant.torque(m, s, k) * k as f64 / s.rate_hz)]
 }
 
-/// The law that the list does not have and that takes most of what a model leaves. `None` where none takes enough, and where no data are
-/// held out.
+/// Columns of a viscous friction by the place. An inertia by the place would do too well: the torque that is left to it has the noise of
+/// the drive, which it could take out as a whole.
+fn placed(p: &Problem, borders: &[f64]) -> Vec<Vec<f64>> {
+    let of = |i: usize| torque_column(p, |s, k| if bin(borders, s.theta[k]) == i { s.omega[k] } else { 0.0 });
+    (0..=borders.len()).map(of).collect()
+}
+
+/// Columns of an inertia of the turn: d/dt (J w) - w^2/2 dJ/d(theta) with J = J0 (1 + a cos + b sin). The acceleration's noise has no sine
+/// of the turn.
+fn turned(m: &Material, p: &Problem) -> Vec<Vec<f64>> {
+    let j = m.bench.rig.inertia.value;
+    let of = |n: f64| {
+        let cosine = |s: &Signals, k: usize, angle: f64| {
+            let (sin, cos) = angle.sin_cos();
+            j * (cos * s.accel[k] - 0.5 * n * sin * s.omega[k].powi(2))
+        };
+        // the sine is a cosine of a quarter of a turn less
+        [0.0, FRAC_PI_2].map(|late| torque_column(p, |s, k| cosine(s, k, n * s.theta[k] - late)))
+    };
+    ORDERS.into_iter().flat_map(of).collect()
+}
+
+/// The law that the list does not have and that takes most of what a model leaves. `None` where none takes enough.
 ///
 /// * `retuned` the model without effects
-pub fn unlisted(m: &Material, retuned: &Fit, model: &Fit) -> Option<Unlisted> {
-    m.held.as_ref()?;
-    let judged = m.judged_residual(model);
-    let prove = Side::new(m.held_problem(), m, model, m.held_residual(model), |row| {
-        judged[row] != 0.0
-    });
-    let find = Side::new(&m.fit, m, model, model.residual.clone(), |_| true);
-    let (found, proven) = (Left::new(&find), Left::new(&prove));
-    let left_of = proven.energy();
+pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
+    let (m, model) = (trial.m, trial.model);
+    let left_of = trial.left();
     if left_of <= 0.0 {
         return None;
     }
-    let noise = proven.rows * prove.p.sensor_floor[Equation::Torque.index()].powi(2);
     let beside = !model.terms.is_empty();
-    if let Some(instead) = (0..model.terms.len()).find_map(|t| instead(m, model, t, left_of)) {
+    if let Some(instead) = (0..model.terms.len()).find_map(|t| instead(trial, t)) {
         return Some(instead);
     }
     // what is within the noise may keep a time of its own, or have whatever form a noise has
-    if left_of < if beside { BEYOND } else { WORTH } * noise {
+    if left_of < if beside { BEYOND } else { WORTH } * trial.noise() {
         return None;
     }
-    let explained = match model.terms.is_empty() {
-        true => 0.0,
-        false => (prove.energy(&m.held_residual(retuned)) - left_of).max(0.0),
-    };
-    let mut seen: Vec<(Law, f64)> = Vec::new();
+    let (found, proven) = (Left::new(&trial.find), Left::new(&trial.prove));
+    let mut seen: Vec<Unlisted> = Vec::new();
+    let mut see = |law: Law, of_left: f64| seen.push(Unlisted { law, of_left });
     for c in Constant::ALL {
         let share = in_time(m, &found, c);
         if share > SEEN {
-            seen.push((Law::InTime(c), share.min(in_time(m, &proven, c))));
+            see(Law::InTime(c), share.min(in_time(m, &proven, c)));
         }
     }
-    seen.extend(tone(&found, &proven).map(|(hz, share)| (Law::Tone(hz), share)));
-    let own = own_of(&find, m);
-    let alone = left((&find, &own), &prove, model, None)?;
-    for (law, columns) in lasting(m) {
-        if let Some(with) = left((&find, &own), &prove, model, Some(&*columns)) {
-            // constants that are learnt once more beside it may leave more than the model does, or less
-            seen.push((law, (alone.min(left_of) - with) / left_of));
-        }
+    if let Some((hz, share)) = tone(&found, &proven) {
+        see(Law::Tone(hz), share);
     }
-    let all = seen.into_iter().map(|(law, of_left)| Unlisted {
-        law,
-        of_left,
-        of_explained: of_left * left_of / explained,
-    });
+    // constants that are learnt once more beside a law may leave more than the model does, or less
+    let alone = trial.left_alone()?.min(left_of);
+    let mut try_out = |law: Law, columns: &Columns| {
+        if let Some(with) = trial.left_with(columns) {
+            see(law, (alone - with) / left_of);
+        }
+    };
+    for c in [Constant::Gain, Constant::DryFriction, Constant::Offset] {
+        try_out(Law::WithTime(c), &|p| moving(m, p, c));
+    }
+    let borders = edges(&m.fit, Equation::Torque, Regressor::Position, PLACES);
+    try_out(Law::OfPlace, &|p| placed(p, &borders));
+    try_out(Law::OfTurn, &|p| turned(m, p));
+    let explained = (trial.prove.energy(&m.held_residual(retuned)) - left_of).max(0.0);
     let there = |u: &Unlisted| {
         let (least, of_explained) = match u.law {
             _ if !beside => (SEEN, 0.0),
@@ -343,113 +294,51 @@ pub fn unlisted(m: &Material, retuned: &Fit, model: &Fit) -> Option<Unlisted> {
             Law::InTime(_) | Law::WithTime(_) => (SEEN_BESIDE, MOST),
             _ => (SEEN_BESIDE, LITTLE),
         };
-        u.of_left > least && u.of_left * proven.rows > CLEAR && u.of_explained > of_explained
+        let clear = u.of_left * proven.rows > CLEAR;
+        u.of_left > least && clear && (!beside || u.of_left * left_of > of_explained * explained)
     };
-    all.filter(there).max_by(|a, b| a.of_left.total_cmp(&b.of_left))
+    let all = seen.into_iter().filter(there);
+    all.max_by(|a, b| a.of_left.total_cmp(&b.of_left))
 }
 
 /// A law that leaves less than one of the effects does, in its place.
-///
-/// * `left_of` energy that the model leaves of the held-out rows
-fn instead(m: &Material, model: &Fit, term: usize, left_of: f64) -> Option<Unlisted> {
-    let kind = model.terms[term].kind;
+fn instead(trial: &Trial, term: usize) -> Option<Unlisted> {
+    let (m, left_of) = (trial.m, trial.left());
+    let kind = trial.model.terms[term].kind;
     // a load that swings for long on its spring is a tone; an angle's sensor off its centre seems to speed up and slow down within a turn
-    let alike = (
-        kind == EffectKind::Compliance,
-        has_order(kind) || kind == EffectKind::EncoderEccentricity,
-    );
-    if alike == (false, false) {
+    let swings = kind == EffectKind::Compliance;
+    if !(swings || has_order(kind) || kind == EffectKind::EncoderEccentricity) {
         return None;
     }
-    let less = m.without(model, term);
-    let judged = m.judged_residual(model);
-    let prove = Side::new(m.held_problem(), m, &less, m.held_residual(&less), |row| {
-        judged[row] != 0.0
-    });
-    let find = Side::new(&m.fit, m, &less, less.residual.clone(), |_| true);
-    let (found, proven) = (Left::new(&find), Left::new(&prove));
-    let all = proven.energy();
-    let law = match alike.0 {
-        true => tone(&found, &proven).map(|(hz, share)| (Law::Tone(hz), all * (1.0 - share))),
-        false => {
-            let own = own_of(&find, m);
-            let turn = lasting(m).into_iter().find(|l| l.0 == Law::OfTurn)?;
-            left((&find, &own), &prove, &less, Some(&*turn.1)).map(|l| (Law::OfTurn, l))
-        }
+    let less = m.without(trial.model, term);
+    let trial = trial.of(&less);
+    let all = trial.left();
+    let (law, rest) = if swings {
+        let (hz, share) = tone(&Left::new(&trial.find), &Left::new(&trial.prove))?;
+        (Law::Tone(hz), all * (1.0 - share))
+    } else {
+        (Law::OfTurn, trial.left_with(&|p| turned(m, p))?)
     };
-    let (law, rest) = law?;
-    let better = rest < INSTEAD * left_of && (left_of - rest) * proven.rows > CLEAR * left_of;
+    let better = rest < INSTEAD * left_of && (left_of - rest) * trial.prove.rows.len() as f64 > CLEAR * left_of;
     // beside constants that were fitted with another law, and with rows left out, a line is not all of its tone
-    let rings = matches!(law, Law::Tone(_)) && rest < RINGS * all;
+    let rings = swings && rest < RINGS * all;
     (better || rings).then(|| Unlisted {
         law,
         of_left: (all - rest) / all,
-        of_explained: (all - rest) / (all - left_of).max(1e-300),
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measured::bench::Bench;
-    use crate::measured::check::check;
-    use crate::measured::recording::read_runs;
+    use crate::measured::prescribed::{INERTIA, rig};
     use crate::search::form::Strange;
     use crate::search::study::{Outcome, study};
     use crate::search::verdict::Verdict;
-    use rand::RngExt;
-    use rand_chacha::ChaCha8Rng;
-    use rand_chacha::rand_core::SeedableRng;
     use std::f64::consts::TAU;
-    use std::fmt::Write;
 
-    const INERTIA: f64 = 1e-3;
-
-    /// Study of a rig whose motion is prescribed, and whose torque has something besides.
-    ///
-    /// * `besides` by run, time, angle, speed, acceleration and the torque without it
     fn studied(besides: impl Fn(usize, [f64; 5]) -> f64) -> Outcome {
-        let dir = tempfile::tempdir().unwrap();
-        let mut bench = format!(
-            "[rig]\nkind = \"rotary\"\ndrive = \"torque\"\ninertia = {{ value = {INERTIA}, unit = \"kg m2\", trust = 0.2 }}\n\
-             viscous = {{ value = 4e-3, unit = \"N m s/rad\", trust = 0.3 }}\ncoulomb = {{ value = 0.2, unit = \"N m\", trust = 0.3 }}\n\
-             [channels]\ntime = {{ column = \"t\", unit = \"s\" }}\nposition = {{ column = \"x\", unit = \"rad\" }}\n\
-             torque = {{ column = \"torque\", unit = \"N m\" }}\n"
-        );
-        let mut noise = ChaCha8Rng::seed_from_u64(5);
-        let mut white = |size: f64| size * ((0..12).map(|_| noise.random::<f64>()).sum::<f64>() - 6.0);
-        for run in 0..3 {
-            let lines: Vec<[f64; 3]> = (0..4)
-                .map(|i| {
-                    let hz = 0.31 + 0.57 * f64::from(i) + 0.13 * run as f64;
-                    [1.5 / (1.0 + f64::from(i)), TAU * hz, 0.7 * run as f64 + f64::from(i)]
-                })
-                .collect();
-            let mut csv = "t,x,torque\n".to_string();
-            for k in 0..8000 {
-                let t = f64::from(k) * 1e-3;
-                let (mut x, mut w, mut a) = (0.0, 0.0, 0.0);
-                for [size, rate, phase] in &lines {
-                    let (sin, cos) = (rate * t + phase).sin_cos();
-                    (x, w, a) = (x + size * sin, w + size * rate * cos, a - size * rate * rate * sin);
-                }
-                let torque = 1.05 * INERTIA * a + 5e-3 * w + 0.22 * w.signum();
-                let torque = torque + besides(run, [t, x, w, a, torque]) + white(0.01);
-                writeln!(csv, "{t:.4},{:.8},{torque:.6}", x + white(2e-5)).unwrap();
-            }
-            std::fs::write(dir.path().join(format!("run{run}.csv")), csv).unwrap();
-            let role = if run == 2 { "heldout" } else { "fit" };
-            write!(
-                bench,
-                "[[run]]\nfile = \"run{run}.csv\"\nrole = \"{role}\"\nhealth = \"healthy\"\n"
-            )
-            .unwrap();
-        }
-        let file = dir.path().join("bench.toml");
-        std::fs::write(&file, bench).unwrap();
-        let bench = Bench::read(&file, None).unwrap();
-        let runs = read_runs(&bench).unwrap();
-        check(&bench, &runs).unwrap();
+        let (bench, runs) = rig(besides);
         study(Material::new(bench, runs, &[]), &|_| {})
     }
 
