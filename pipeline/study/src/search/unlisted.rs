@@ -38,6 +38,9 @@ const TONES_HZ: (f64, f64) = (0.5, 100.0);
 /// Power of a tone over the median of its neighbours' (assumed: without one up to 15), on either side of so much [Hz].
 const STANDS_OUT: f64 = 30.0;
 const NEIGHBOURS_HZ: f64 = 3.0;
+/// Power of a tone over that of the drive's torque at its frequency from which it is no part of it (assumed: a loop that holds a tone down
+/// drives with 0.5 to 2 times its torque, what an equation has wrong of a command's line is a few hundredths of it).
+const OF_DRIVE: f64 = 0.1;
 /// Frequencies on either side that a median takes at least.
 const LEAST_NEIGHBOURS: usize = 8;
 /// Pieces of the travel in which a constant is one.
@@ -193,7 +196,7 @@ fn in_time(m: &Material, side: &Left, constant: Constant) -> f64 {
 }
 
 /// The frequency that stands out of what is left of the runs that find, and its share of what is left of those that prove.
-fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
+fn tone(m: &Material, find: &Left, prove: &Left) -> Option<(f64, f64)> {
     let every = find.p.group().max(1);
     let blocks = || torque_blocks(find.p).chain(torque_blocks(prove.p));
     let longest = blocks().filter_map(|b| b.samples.last()).max()? / every + 1;
@@ -205,7 +208,7 @@ fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
     let at = (first..last).max_by(|a, b| powers[0].0[*a].total_cmp(&powers[0].0[*b]))?;
     // a run's own line is as wide as it is short
     let near = at.saturating_sub(2)..=at + 2;
-    let stands = powers.map(|(power, left)| {
+    let stands = powers.each_ref().map(|(power, left)| {
         let wide = ((NEIGHBOURS_HZ / hz) as usize).max(LEAST_NEIGHBOURS);
         let mut around = power[at.saturating_sub(wide).max(1)..(at + wide).min(power.len())].to_vec();
         around.sort_by(f64::total_cmp);
@@ -213,8 +216,13 @@ fn tone(find: &Left, prove: &Left) -> Option<(f64, f64)> {
         let out = highest > STANDS_OUT * around[around.len() / 2];
         (out, highest / left.max(1e-300))
     });
+    let own = [find, prove].iter().zip(&powers).all(|(s, (power, _))| {
+        let push = torque_column(s.p, |s, k| Constant::Gain.torque(m, s, k));
+        let drive = over_time(s.p, &push, length, every);
+        near.clone().map(|i| power[i]).sum::<f64>() > OF_DRIVE * near.clone().map(|i| drive[i]).sum::<f64>()
+    });
     let share = stands[0].1.min(stands[1].1);
-    (stands[0].0 && stands[1].0).then_some((at as f64 * hz, share))
+    (stands[0].0 && stands[1].0 && own).then_some((at as f64 * hz, share))
 }
 
 /// Columns of a constant that moves with the time of a run.
@@ -270,7 +278,7 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
             see(Law::InTime(c), share.min(in_time(m, &proven, c)));
         }
     }
-    if let Some((hz, share)) = tone(&found, &proven) {
+    if let Some((hz, share)) = tone(m, &found, &proven) {
         see(Law::Tone(hz), share);
     }
     // constants that are learnt once more beside a law may leave more than the model does, or less
@@ -314,7 +322,7 @@ fn instead(trial: &Trial, term: usize) -> Option<Unlisted> {
     let trial = trial.of(&less);
     let all = trial.left();
     let (law, rest) = if swings {
-        let (hz, share) = tone(&Left::new(&trial.find), &Left::new(&trial.prove))?;
+        let (hz, share) = tone(m, &Left::new(&trial.find), &Left::new(&trial.prove))?;
         (Law::Tone(hz), all * (1.0 - share))
     } else {
         (Law::OfTurn, trial.left_with(&|p| turned(m, p))?)
