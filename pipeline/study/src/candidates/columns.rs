@@ -11,6 +11,7 @@ use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::Signals;
 use crate::measured::samples::{rate_of, shifted};
 use sim_worker::effect::{self, Effect, EffectKind, Equation, Law};
+use sim_worker::trig::sin_cos;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// An effect's contribution: a part that has no amplitude, and the columns of its amplitudes.
@@ -117,12 +118,6 @@ fn mean_share(e: &Effect, s: &Signals, c: &RigConstants) -> Vec<f64> {
 fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
     let electrical = s.voltage.is_some() && c.measured_current;
     let (torque, voltage): (Vec<f64>, Option<Vec<f64>>) = match e.kind {
-        // an order that is no whole number has no table over one turn
-        EffectKind::TorqueRipple => {
-            let both = moments(s, c).map(|m| e.shared(&m, &c.effect, e.constant_share(&m, &c.effect) * blur(e, &m, s)));
-            let (t, v) = both.unzip();
-            (t, electrical.then_some(v))
-        }
         EffectKind::Eccentricity | EffectKind::TurnShort | EffectKind::CommutationOffset => {
             let share = mean_share(e, s, c);
             let (t, v) = moments(s, c)
@@ -132,9 +127,7 @@ fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
             (t, electrical.then_some(v))
         }
         _ => {
-            let torque = moments(s, c)
-                .map(|m| e.torque(&m, &c.effect) * blur(e, &m, s))
-                .collect();
+            let torque = moments(s, c).map(|m| e.torque(&m, &c.effect)).collect();
             let other = matches!(
                 e.kind,
                 EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::DeadTime | EffectKind::SupplySag
@@ -143,6 +136,10 @@ fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
             (torque, voltage)
         }
     };
+    of_both(torque, voltage)
+}
+
+fn of_both(torque: Vec<f64>, voltage: Option<Vec<f64>>) -> Column {
     let mut column = Vec::new();
     if torque.iter().any(|x| *x != 0.0) {
         column.push(Piece::of(Equation::Torque, 0, torque));
@@ -153,15 +150,33 @@ fn driven(e: &Effect, s: &Signals, c: &RigConstants) -> Column {
     column
 }
 
-/// What the mean over a sample leaves of a sine of the angle, at a steady speed.
-fn blur(e: &Effect, m: &effect::Signals, s: &Signals) -> f64 {
-    match e.kind {
-        EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
-            let x = 0.5 * e.values[2] * m.omega / s.rate_hz;
-            if x.abs() > 1e-6 { x.sin() / x } else { 1.0 }
+/// Cosine and sine of an order of the turn, each with what the effect makes of a wave of 1, means over each sample at a steady speed. An
+/// order that is no whole number has no table over one turn.
+fn waves(kind: EffectKind, order: f64, s: &Signals, c: &RigConstants) -> Vec<Column> {
+    let ripple = kind == EffectKind::TorqueRipple;
+    let electrical = ripple && s.voltage.is_some() && c.measured_current;
+    // of order 0 the wave is its amplitude
+    let one = Effect::new(kind, &[1.0, 0.0, 0.0]);
+    let mut torques = [Vec::with_capacity(s.n), Vec::with_capacity(s.n)];
+    let mut voltages = [Vec::new(), Vec::new()];
+    for m in moments(s, c) {
+        let (torque, voltage) = if ripple {
+            one.shared(&m, &c.effect, 1.0)
+        } else {
+            (one.torque(&m, &c.effect), 0.0)
+        };
+        let x = 0.5 * order * m.omega / s.rate_hz;
+        let blur = if x.abs() > 1e-6 { sin_cos(x).0 / x } else { 1.0 };
+        let (sin, cos) = sin_cos(order * m.theta);
+        for (i, wave) in [cos, sin].into_iter().enumerate() {
+            torques[i].push(torque * (wave * blur));
+            if electrical {
+                voltages[i].push(voltage * (wave * blur));
+            }
         }
-        _ => 1.0,
     }
+    let each = torques.into_iter().zip(voltages);
+    each.map(|(t, v)| of_both(t, electrical.then_some(v))).collect()
 }
 
 /// `sin` and `cos` of the angle, times what an angle error does to each equation.
@@ -281,10 +296,7 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             }
         }
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => {
-            out.linear = vec![
-                amplitude(&[1.0, 0.0, shape[0]]),
-                amplitude(&[1.0, -FRAC_PI_2, shape[0]]),
-            ];
+            out.linear = waves(kind, shape[0], s, c);
         }
         EffectKind::Eccentricity => {
             out.linear = vec![amplitude(&[1.0, 0.0]), amplitude(&[1.0, -FRAC_PI_2])];

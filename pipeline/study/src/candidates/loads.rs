@@ -77,13 +77,31 @@ fn substeps(natural_rad_s: f64, rate_hz: f64) -> usize {
     (natural_rad_s / rate_hz * 6.0).ceil().clamp(1.0, 8.0) as usize
 }
 
-/// A step of a mass on its spring by the implicit midpoint rule: no damping but the spring's own.
-///
-/// * `push` on it at the step's beginning, but for the damping of its own speed
-fn midpoint((x, w): (f64, f64), push: f64, (stiffness, damping, inertia): (f64, f64, f64), dt: f64) -> (f64, f64) {
-    let half = 0.5 * dt / inertia;
-    let middle = (w + half * push) / (1.0 + half * (0.5 * dt * stiffness + damping));
-    (x + middle * dt, 2.0 * middle - w)
+/// Steps of a mass on its spring by the implicit midpoint rule: no damping but the spring's own.
+#[derive(Clone, Copy)]
+struct Midpoint {
+    dt: f64,
+    /// half a step over the mass
+    half: f64,
+    /// of the speed in the middle, for what spring and damping of its own add to it
+    less: f64,
+}
+
+impl Midpoint {
+    fn new(stiffness: f64, damping: f64, inertia: f64, dt: f64) -> Self {
+        let half = 0.5 * dt / inertia;
+        Self {
+            dt,
+            half,
+            less: 1.0 / (1.0 + half * (0.5 * dt * stiffness + damping)),
+        }
+    }
+
+    /// * `push` on it at the step's beginning, but for the damping of its own speed
+    fn step(&self, (x, w): (f64, f64), push: f64) -> (f64, f64) {
+        let middle = (w + self.half * push) * self.less;
+        (x + middle * self.dt, 2.0 * middle - w)
+    }
 }
 
 /// A load mass on its spring, driven by the motor's measured motion.
@@ -109,6 +127,7 @@ impl Spring<'_> {
         let (motion, speed) = (self.motion, self.speed);
         let substeps = substeps((self.stiffness / self.inertia.max(1e-12)).sqrt(), self.rate_hz);
         let dt = 1.0 / (self.rate_hz * substeps as f64);
+        let mass = Midpoint::new(self.stiffness, self.damping, self.inertia, dt);
         let (mut x, mut w) = (motion[0] + x0, speed[0] + w0);
         let (mut deflection, mut slip) = (Vec::with_capacity(n), Vec::with_capacity(n));
         for k in 0..n {
@@ -120,7 +139,7 @@ impl Spring<'_> {
                 let (theta, omega) = (between(motion, k, share), between(speed, k, share));
                 let load = load[k] + share * (load[next] - load[k]);
                 let push = self.stiffness * (theta - x) + self.damping * omega - load;
-                (x, w) = midpoint((x, w), push, (self.stiffness, self.damping, self.inertia), dt);
+                (x, w) = mass.step((x, w), push);
             }
         }
         (deflection, slip)
@@ -177,16 +196,17 @@ impl Shaken<'_> {
                 -of_motor - load[k] * load_share
             })
             .collect();
-        let share = |k: usize| if self.resting[k] { load_share } else { both };
-        let first = if self.means {
-            pushes[0] / (self.stiffness * share(0))
-        } else {
-            0.0
-        };
+        // of the motor held, and of both masses
+        let swings = [load_share, both].map(|share| {
+            let (stiffness, damping) = (self.stiffness * share, self.damping * share);
+            (stiffness, Midpoint::new(stiffness, damping, 1.0, dt))
+        });
+        let swing = |k: usize| swings[usize::from(!self.resting[k])];
+        let first = if self.means { pushes[0] / swing(0).0 } else { 0.0 };
         let (mut x, mut w) = (first, 0.0);
         let (mut deflection, mut slip) = (Vec::with_capacity(n), Vec::with_capacity(n));
         for k in 0..n {
-            let (stiffness, damping) = (self.stiffness * share(k), self.damping * share(k));
+            let (stiffness, mass) = swing(k);
             // means hold from half a sample before to half a sample after the middle
             let middle = if self.means { substeps / 2 } else { 0 };
             for j in 0..substeps {
@@ -199,7 +219,7 @@ impl Shaken<'_> {
                 } else {
                     between(&pushes, k, (j as f64 + 0.5) / substeps as f64)
                 };
-                (x, w) = midpoint((x, w), push - stiffness * x, (stiffness, damping, 1.0), dt);
+                (x, w) = mass.step((x, w), push - stiffness * x);
             }
         }
         (deflection, slip)

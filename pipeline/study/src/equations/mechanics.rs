@@ -2,7 +2,7 @@
 
 use crate::equations::clock::{Clock, NoiseTable};
 use crate::equations::signals::Signals;
-use crate::equations::whitener::{Design, Rows, Whitener};
+use crate::equations::whitener::{Design, Rows, Set, Whitener};
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::recording::{Run, range};
 
@@ -14,16 +14,17 @@ pub enum Mechanics {
 }
 
 impl Mechanics {
-    pub fn rows(
-        &self,
-        torque: Option<&[f64]>,
-        position: Option<&[f64]>,
-        velocity: Option<&[f64]>,
-        s: &Signals,
-    ) -> Rows {
+    /// Rows of several sets of signals.
+    pub fn rows(&self, all: &[Set], s: &Signals) -> Vec<Rows> {
         match self {
-            Self::Steady => [torque.map_or_else(|| vec![0.0; s.n], <[f64]>::to_vec), vec![0.0; s.n]],
-            Self::Moving(w) => w.rows(torque, position, velocity, &s.resting),
+            Self::Steady => {
+                let torques = all.iter().map(|[torque, ..]| *torque);
+                let still = || vec![0.0; s.n];
+                torques
+                    .map(|t| [t.map_or_else(still, <[f64]>::to_vec), still()])
+                    .collect()
+            }
+            Self::Moving(w) => w.rows(all, &s.resting),
         }
     }
 

@@ -8,7 +8,7 @@ use crate::equations::floors::floors;
 use crate::equations::mechanics::{Mechanics, mechanics};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::phases::{self, SUPPLY};
-use crate::equations::pieces::Column;
+use crate::equations::pieces::{Column, Piece};
 use crate::equations::signals::{self, Signals};
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
@@ -230,36 +230,61 @@ impl Problem {
 
     /// A column of an effect over all rows: its pieces for each run.
     pub fn column(&self, pieces: &[Column]) -> Vec<f64> {
-        let mut out = vec![0.0; self.rows];
-        let rate = self.clock.rate_hz;
-        for (r, (s, pieces)) in self.signals.iter().zip(pieces).enumerate() {
-            let sum = |equation: Equation, order: usize| -> Option<Vec<f64>> {
-                let mut all = pieces.iter().filter(|p| p.equation == equation && p.order == order);
-                let mut sum = all.next()?.signal.clone();
-                all.for_each(|p| sum.iter_mut().zip(&p.signal).for_each(|(s, x)| *s += x));
-                Some(sum)
-            };
-            let mut torque = sum(Equation::Torque, 0);
-            if let Some(x) = sum(Equation::Torque, 1) {
-                // the mean of a derivative is the difference of the ends
-                let t = torque.get_or_insert_with(|| vec![0.0; s.n]);
-                t.iter_mut().zip(samples::rate_of(&x, rate)).for_each(|(t, r)| *t += r);
-            }
-            // what stands in a measured angle or speed stands there at that sensor's moment
-            let ahead = self.mechanics.ahead();
-            let at_sensor = |order: usize| Some(samples::later(&sum(Equation::Kinematic, order)?, ahead[order]));
-            let (angle, speed) = (at_sensor(0), at_sensor(1));
-            if torque.is_some() || angle.is_some() || speed.is_some() {
-                let rows = self
-                    .mechanics
-                    .rows(torque.as_deref(), angle.as_deref(), speed.as_deref(), s);
-                for (e, values) in [Equation::Torque, Equation::Kinematic].into_iter().zip(rows) {
-                    if let Some(b) = self.blocks.iter().find(|b| b.run == r && b.equation == e) {
-                        out[b.rows.clone()].copy_from_slice(&values);
+        self.columns(&[pieces]).remove(0)
+    }
+
+    /// Columns, each from its pieces for each run.
+    pub fn columns<P: AsRef<[Column]>>(&self, all: &[P]) -> Vec<Vec<f64>> {
+        let mut out = vec![vec![0.0; self.rows]; all.len()];
+        for (r, s) in self.signals.iter().enumerate() {
+            let block = |e: Equation| self.blocks.iter().find(|b| b.run == r && b.equation == e);
+            let blocks = [block(Equation::Torque), block(Equation::Kinematic)];
+            let moving: Vec<_> = all.iter().map(|pieces| self.moving(&pieces.as_ref()[r], s)).collect();
+            let there: Vec<usize> = (0..all.len())
+                .filter(|i| moving[*i].iter().any(Option::is_some))
+                .collect();
+            let signals: Vec<_> = there
+                .iter()
+                .map(|i| moving[*i].each_ref().map(Option::as_deref))
+                .collect();
+            for (i, rows) in there.iter().zip(self.mechanics.rows(&signals, s)) {
+                for (b, values) in blocks.iter().zip(rows) {
+                    if let Some(b) = b {
+                        out[*i][b.rows.clone()].copy_from_slice(&values);
                     }
                 }
             }
         }
+        for (column, pieces) in out.iter_mut().zip(all) {
+            self.still(column, pieces.as_ref());
+        }
+        out
+    }
+
+    /// What pieces are to the mechanics of a run: torque [N m], angle [rad] and speed [rad/s], each at its sensor's moment.
+    fn moving(&self, pieces: &[Piece], s: &Signals) -> [Option<Vec<f64>>; 3] {
+        let rate = self.clock.rate_hz;
+        let sum = |equation: Equation, order: usize| -> Option<Vec<f64>> {
+            let mut all = pieces.iter().filter(|p| p.equation == equation && p.order == order);
+            let mut sum = all.next()?.signal.clone();
+            all.for_each(|p| sum.iter_mut().zip(&p.signal).for_each(|(s, x)| *s += x));
+            Some(sum)
+        };
+        let mut torque = sum(Equation::Torque, 0);
+        if let Some(x) = sum(Equation::Torque, 1) {
+            // the mean of a derivative is the difference of the ends
+            let t = torque.get_or_insert_with(|| vec![0.0; s.n]);
+            t.iter_mut().zip(samples::rate_of(&x, rate)).for_each(|(t, r)| *t += r);
+        }
+        // what stands in a measured angle or speed stands there at that sensor's moment
+        let ahead = self.mechanics.ahead();
+        let at_sensor = |order: usize| Some(samples::later(&sum(Equation::Kinematic, order)?, ahead[order]));
+        [torque, at_sensor(0), at_sensor(1)]
+    }
+
+    /// Puts into a column what its pieces are to the other equations.
+    fn still(&self, out: &mut [f64], pieces: &[Column]) {
+        let rate = self.clock.rate_hz;
         for block in &self.blocks {
             if matches!(block.equation, Equation::Torque | Equation::Kinematic) {
                 continue;
@@ -293,7 +318,6 @@ impl Problem {
                 }
             }
         }
-        out
     }
 
     /// Takes the noise of an equation from the data where it is more than the sensors are said to have: half the

@@ -51,6 +51,9 @@ pub struct Whitener {
     torque_share: [f64; 2],
 }
 
+/// Torque, angle and speed.
+pub type Set<'a> = [Option<&'a [f64]>; 3];
+
 /// Rows of a signal: along the response to a slow torque, and across it.
 pub type Rows = [Vec<f64>; 2];
 
@@ -93,7 +96,7 @@ impl Whitener {
         let ones = vec![1.0; n];
         let still = vec![false; n];
         let mut last = [0.0; 2];
-        self.pass(Some(&ones), None, None, &still, |_, e| last = e);
+        self.pass(Some([&ones]), None, None, &still, |_, [[p], [v]]| last = [p, v]);
         let size = last[0].hypot(last[1]).max(1e-300);
         self.direction = [last[0] / size, last[1] / size];
         self.scale = 1.0 / size;
@@ -105,7 +108,8 @@ impl Whitener {
         let m = self.design.group as f64;
         let mut window: std::collections::VecDeque<[f64; 2]> = Default::default();
         let (d, g) = (self.direction, self.design.group);
-        self.pass(Some(&impulse), None, None, &still, |_, e| {
+        self.pass(Some([&impulse]), None, None, &still, |_, [[p], [v]]| {
+            let e = [p, v];
             let r = [d[0] * e[0] + d[1] * e[1], -d[1] * e[0] + d[0] * e[1]];
             window.push_back(r);
             (0..2).for_each(|i| group[i] += r[i]);
@@ -164,58 +168,92 @@ impl Whitener {
         out
     }
 
-    /// What the filter makes of signals: torque against positive motion counts as missing torque [N m], angle
-    /// [rad] and speed [rad/s] as measured. Rows in N m of a slow torque.
-    pub fn rows(
+    /// What the filter makes of several sets of signals: torque against positive motion, which counts as missing torque [N m], angle
+    /// [rad] and speed [rad/s] as measured, where there are any. Rows in N m of a slow torque. Sets of the same signals go side by side,
+    /// as many as a step of the filter waits for itself.
+    pub fn rows(&self, all: &[Set], masked: &[bool]) -> Vec<Rows> {
+        let mut out = vec![Rows::default(); all.len()];
+        let mut left: Vec<usize> = (0..all.len()).collect();
+        while let Some(first) = left.first() {
+            let has = all[*first].map(|s| s.is_some());
+            let alike: Vec<usize> = left.extract_if(.., |i| all[*i].map(|s| s.is_some()) == has).collect();
+            let (four, rest) = alike.as_chunks::<4>();
+            let (two, one) = rest.as_chunks::<2>();
+            four.iter().for_each(|at| self.side_by_side(all, *at, masked, &mut out));
+            two.iter().for_each(|at| self.side_by_side(all, *at, masked, &mut out));
+            one.iter()
+                .for_each(|at| self.side_by_side(all, [*at], masked, &mut out));
+        }
+        out
+    }
+
+    /// * `at` places of some that have the same signals
+    fn side_by_side<const L: usize>(&self, all: &[Set], at: [usize; L], masked: &[bool], out: &mut [Rows]) {
+        let [torque, position, velocity] = [0, 1, 2].map(|i| {
+            let signals = at.map(|c| all[c][i].unwrap_or_default());
+            all[at[0]][i].is_some().then_some(signals)
+        });
+        let rows = self.lanes(torque, position, velocity, masked);
+        at.into_iter().zip(rows).for_each(|(c, rows)| out[c] = rows);
+    }
+
+    fn lanes<const L: usize>(
         &self,
-        torque: Option<&[f64]>,
-        position: Option<&[f64]>,
-        velocity: Option<&[f64]>,
+        torque: Option<[&[f64]; L]>,
+        position: Option<[&[f64]; L]>,
+        velocity: Option<[&[f64]; L]>,
         masked: &[bool],
-    ) -> Rows {
+    ) -> [Rows; L] {
         let (d, g) = (self.direction, self.design.group);
         let factor = self.scale / g as f64;
-        let mut out: Rows = [Vec::new(), Vec::new()];
-        let (mut sum, mut run) = ([0.0; 2], 0);
+        let mut out: [Rows; L] = std::array::from_fn(|_| [Vec::new(), Vec::new()]);
+        let (mut sum, mut run) = ([[0.0; L]; 2], 0);
         self.pass(torque, position, velocity, masked, |k, e| {
             if k < START || masked[k] {
-                (sum, run) = ([0.0; 2], 0);
+                (sum, run) = ([[0.0; L]; 2], 0);
                 return;
             }
-            sum[0] += d[0] * e[0] + d[1] * e[1];
-            sum[1] += -d[1] * e[0] + d[0] * e[1];
+            for l in 0..L {
+                sum[0][l] += d[0] * e[0][l] + d[1] * e[1][l];
+                sum[1][l] += -d[1] * e[0][l] + d[0] * e[1][l];
+            }
             run += 1;
             if run == g {
                 // more torque than was foreseen is less than nothing missing
-                out[0].push(factor * sum[0]);
-                out[1].push(factor * sum[1]);
-                (sum, run) = ([0.0; 2], 0);
+                for (l, rows) in out.iter_mut().enumerate() {
+                    rows[0].push(factor * sum[0][l]);
+                    rows[1].push(factor * sum[1][l]);
+                }
+                (sum, run) = ([[0.0; L]; 2], 0);
             }
         });
         out
     }
 
-    /// Runs the filter; `each` hears the whitened innovations of angle and speed of every sample.
-    fn pass(
+    /// Runs the filter over as many sets of signals as there are lanes; `each` hears the whitened innovations of angle and speed of every
+    /// sample.
+    fn pass<const L: usize>(
         &self,
-        torque: Option<&[f64]>,
-        position: Option<&[f64]>,
-        velocity: Option<&[f64]>,
+        torque: Option<[&[f64]; L]>,
+        position: Option<[&[f64]; L]>,
+        velocity: Option<[&[f64]; L]>,
         masked: &[bool],
-        mut each: impl FnMut(usize, [f64; 2]),
+        mut each: impl FnMut(usize, [[f64; L]; 2]),
     ) {
         let d = &self.design;
         let dt = d.dt;
         // where it is and how fast it goes when the run begins, so that nothing is left to swing out
         let late = d.position.map_or(0.0, |x| x.1);
-        let (mut theta, mut omega) = match (position, velocity) {
+        let begins = |l: usize| match (position.map(|p| p[l]), velocity.map(|v| v[l])) {
             (Some(p), _) if p.len() > 2 => {
                 let omega = (4.0 * p[1] - 3.0 * p[0] - p[2]) / (2.0 * dt);
-                (p[0] + (late - dt) * omega, omega)
+                [p[0] + (late - dt) * omega, omega]
             }
-            (_, Some(v)) => (0.0, v.first().copied().unwrap_or(0.0)),
-            _ => (0.0, 0.0),
+            (_, Some(v)) => [0.0, v.first().copied().unwrap_or(0.0)],
+            _ => [0.0, 0.0],
         };
+        let mut theta: [f64; L] = std::array::from_fn(|l| begins(l)[0]);
+        let mut omega: [f64; L] = std::array::from_fn(|l| begins(l)[1]);
         let (has_p, has_v) = (d.position.is_some(), d.velocity.is_some());
         let (late_p, late_v) = (d.position.map_or(0.0, |x| x.1), d.velocity.map_or(0.0, |x| x.1));
         let mut since = 0;
@@ -223,31 +261,34 @@ impl Whitener {
             let lost = masked[k] || k < START;
             since = if lost { 0 } else { since + 1 };
             let s = &self.steps[since.min(self.steps.len() - 1)];
-            // a torque at a masked sample is not known: its regressor is nothing
-            let a = if lost {
-                0.0
-            } else {
-                torque.map_or(0.0, |t| t[k]) / d.inertia
-            };
-            theta += dt * (omega + 0.5 * dt * a);
-            omega += dt * a;
-            let (mut acc, mut e) = (a, [0.0; 2]);
-            if has_p {
-                let z = position.map_or(0.0, |p| p[k]);
-                let x = z - (theta - late_p * (omega - 0.5 * late_p * acc));
-                let g = &s.position;
-                theta += g[0] * x;
-                omega += g[1] * x;
-                acc += g[2] * x;
-                e[0] = g[3] * x;
-            }
-            if has_v {
-                let z = velocity.map_or(0.0, |v| v[k]);
-                let x = z - (omega - late_v * acc);
-                let g = &s.velocity;
-                theta += g[0] * x;
-                omega += g[1] * x;
-                e[1] = g[3] * x;
+            let mut e = [[0.0; L]; 2];
+            for l in 0..L {
+                // a torque at a masked sample is not known: its regressor is nothing
+                let a = if lost {
+                    0.0
+                } else {
+                    torque.map_or(0.0, |t| t[l][k]) / d.inertia
+                };
+                theta[l] += dt * (omega[l] + 0.5 * dt * a);
+                omega[l] += dt * a;
+                let mut acc = a;
+                if has_p {
+                    let z = position.map_or(0.0, |p| p[l][k]);
+                    let x = z - (theta[l] - late_p * (omega[l] - 0.5 * late_p * acc));
+                    let g = &s.position;
+                    theta[l] += g[0] * x;
+                    omega[l] += g[1] * x;
+                    acc += g[2] * x;
+                    e[0][l] = g[3] * x;
+                }
+                if has_v {
+                    let z = velocity.map_or(0.0, |v| v[l][k]);
+                    let x = z - (omega[l] - late_v * acc);
+                    let g = &s.velocity;
+                    theta[l] += g[0] * x;
+                    omega[l] += g[1] * x;
+                    e[1][l] = g[3] * x;
+                }
             }
             each(k, e);
         }
@@ -337,7 +378,7 @@ mod tests {
             let w = Whitener::new(d);
             let (t, p, v) = simulated(60_000, &d, 0.0);
             let masked = vec![false; t.len()];
-            let [along, across] = w.rows(Some(&t), Some(&p), Some(&v), &masked);
+            let [along, across] = w.rows(&[[Some(&t), Some(&p), Some(&v)]], &masked).remove(0);
             assert_eq!(along.len(), w.samples(&masked).len());
             for r in [&along, &across] {
                 let r = &r[200..];
@@ -354,7 +395,9 @@ mod tests {
         let d = design(1);
         let w = Whitener::new(d);
         let (t, p, v) = simulated(20_000, &d, 3e-3);
-        let [along, across] = w.rows(Some(&t), Some(&p), Some(&v), &vec![false; t.len()]);
+        let [along, across] = w
+            .rows(&[[Some(&t), Some(&p), Some(&v)]], &vec![false; t.len()])
+            .remove(0);
         let mean = |x: &[f64]| x[500..].iter().sum::<f64>() / (x.len() - 500) as f64;
         assert!((mean(&along) - 3e-3).abs() < 1e-4, "{}", mean(&along));
         assert!(mean(&across).abs() < 1e-4);
@@ -370,8 +413,14 @@ mod tests {
             let (t, p, v) = (noise(d.torque_noise), noise(1e-4), noise(0.2));
             let masked = vec![false; t.len()];
             let variance = |r: &Vec<f64>| r.iter().map(|x| x * x).sum::<f64>() / r.len() as f64 / w.floor().powi(2);
-            let of_torque = w.rows(Some(&t), None, None, &masked).map(|r| variance(&r));
-            let of_sensors = w.rows(None, Some(&p), Some(&v), &masked).map(|r| variance(&r));
+            let of_torque = w
+                .rows(&[[Some(&t), None, None]], &masked)
+                .remove(0)
+                .map(|r| variance(&r));
+            let of_sensors = w
+                .rows(&[[None, Some(&p), Some(&v)]], &masked)
+                .remove(0)
+                .map(|r| variance(&r));
             for i in 0..2 {
                 let share = w.torque_share()[i];
                 assert!(
@@ -405,7 +454,9 @@ mod tests {
         let theta: Vec<f64> = at(0.0).map(|t| 500.0 * t - 40.0 * t * t).collect();
         let omega: Vec<f64> = at(1.96e-3).map(|t| 500.0 - 80.0 * t).collect();
         let torque = vec![-80.0 * d.inertia; 300];
-        let rows = w.rows(Some(&torque), Some(&theta), Some(&omega), &[false; 300]);
+        let rows = w
+            .rows(&[[Some(&torque), Some(&theta), Some(&omega)]], &[false; 300])
+            .remove(0);
         assert!(rows.iter().flatten().all(|r| r.abs() < 0.1 * w.floor()), "{rows:?}");
     }
 }

@@ -60,9 +60,13 @@ impl Regressor {
                 all.push(one);
             }
         }
+        if fixed {
+            linear_pieces.push(fixed_pieces);
+        }
+        let mut linear = p.columns(&linear_pieces);
         Self {
-            fixed: fixed.then(|| p.column(&fixed_pieces)),
-            linear: linear_pieces.iter().map(|c| p.column(c)).collect(),
+            fixed: if fixed { linear.pop() } else { None },
+            linear,
         }
     }
 

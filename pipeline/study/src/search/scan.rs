@@ -84,6 +84,12 @@ impl Basis {
 /// Widths of a tight spot that are one side of it, and those of the other from which on it is seen to fall again (assumed).
 const WHOLE_SIDE: f64 = 2.0;
 const FALLS_AGAIN: f64 = 0.4;
+/// Of the steps of Gauss and Newton: damping of the first, share of a simplex's step over which a derivative is taken, how often a step is
+/// damped further, and the log-likelihood below which nothing is gained.
+const FIRST_DAMPING: f64 = 1e-3;
+const DIFFERENCE: f64 = 0.02;
+const MOST_DAMPED_STEPS: usize = 4;
+const CONVERGED: f64 = 1e-3;
 /// Springs of the grid that are refined.
 const SPRINGS: usize = 4;
 
@@ -139,7 +145,7 @@ impl<'a> Scan<'a> {
             },
             orders: Default::default(),
         };
-        scan.none = scan.scored(scan.shadow.left([].into_iter()), Vec::new());
+        scan.none = scan.scored(scan.shadow.left(&scan.shadow.sum([].into_iter())), Vec::new());
         scan
     }
 
@@ -178,11 +184,12 @@ impl<'a> Scan<'a> {
 
     /// Score with one more effect of this shape, or `None` where it cannot act or its sign is not physical.
     pub fn score(&self, kind: EffectKind, shape: &[f64]) -> Option<Score> {
-        let r = Regressor::new(self.problem, kind, shape, self.constants);
-        self.score_of(kind, &r)
+        self.tried(kind, shape).map(|x| x.0)
     }
 
-    fn score_of(&self, kind: EffectKind, r: &Regressor) -> Option<Score> {
+    /// The same, with what the effect adds.
+    fn tried(&self, kind: EffectKind, shape: &[f64]) -> Option<(Score, Cast)> {
+        let r = Regressor::new(self.problem, kind, shape, self.constants);
         if r.is_empty() {
             return None;
         }
@@ -223,9 +230,10 @@ impl<'a> Scan<'a> {
             }
         }
         let taken = free.iter().zip(amplitudes.iter().copied());
-        let (energy, prior) = shadow.left(taken.chain(fixed.iter().map(|f| (f, 1.0))));
+        let added = shadow.sum(taken.chain(fixed.iter().map(|f| (f, 1.0))));
+        let (energy, prior) = shadow.left(&added);
         let own = belief * amplitudes.iter().map(|a| a * a).sum::<f64>();
-        Some(self.scored((energy, prior + own), amplitudes))
+        Some((self.scored((energy, prior + own), amplitudes), added))
     }
 
     /// Whether a column of an effect in the drive signal is the drive signal itself, which would explain
@@ -275,7 +283,8 @@ impl<'a> Scan<'a> {
             .max_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood))
     }
 
-    /// Refines the shape parameters by a simplex search on the profile likelihood.
+    /// Refines the shape parameters on the profile likelihood: where the effect is smooth in them by Gauss and Newton's steps, else, or
+    /// where those lead nowhere, by a simplex.
     pub fn refined(&self, kind: EffectKind, shape: &[f64], score: &Score, steps: usize) -> (Term, Score) {
         let scales = shapes::scales(kind, shape.len());
         let free: Vec<usize> = (0..scales.len()).filter(|i| scales[*i].is_some()).collect();
@@ -320,19 +329,19 @@ impl<'a> Scan<'a> {
                     _ => 0.08,
                 })
                 .collect();
-            simplex(&start, &step, steps, |x| {
+            let mut tried = |x: &[f64]| {
                 let s = plain(x);
-                match self.score(kind, &s).filter(|_| self.inside(kind, &s)) {
-                    Some(score) => {
-                        let value = -score.log_likelihood;
-                        if score.log_likelihood > best.1.log_likelihood {
-                            best = (s, score);
-                        }
-                        value
-                    }
-                    None => f64::MAX,
+                let (score, added) = self.tried(kind, &s).filter(|_| self.inside(kind, &s))?;
+                let value = -score.log_likelihood;
+                if score.log_likelihood > best.1.log_likelihood {
+                    best = (s, score);
                 }
-            });
+                Some((value, added))
+            };
+            let smooth = over || shapes::has_order(kind);
+            if !(smooth && self.descended(&start, &step, steps, &mut tried)) {
+                simplex(&start, &step, steps, |x| tried(x).map_or(f64::MAX, |t| t.0));
+            }
         }
         let term = Term {
             kind,
@@ -340,6 +349,75 @@ impl<'a> Scan<'a> {
             amplitudes: best.1.amplitudes.clone(),
         };
         (term, best.1)
+    }
+
+    /// Gauss and Newton's steps in the residual of the profile, damped (Levenberg and Marquardt; Golub and Pereyra's variable projection,
+    /// with differences for derivatives). `false` where a descent is foreseen and the first step finds none.
+    ///
+    /// * `step` as wide as a likelihood changes, twice of which no step is wider
+    /// * `tried` what is minimised at a point, and what the effect adds there
+    fn descended(
+        &self,
+        start: &[f64],
+        step: &[f64],
+        calls: usize,
+        tried: &mut impl FnMut(&[f64]) -> Option<(f64, Cast)>,
+    ) -> bool {
+        let n = start.len();
+        let Some((mut value, mut added)) = tried(start) else {
+            return false;
+        };
+        let (mut x, mut used, mut damping) = (start.to_vec(), 1, FIRST_DAMPING);
+        while used + n < calls {
+            let mut slopes = Vec::new();
+            for j in 0..n {
+                let beside = [DIFFERENCE * step[j], -DIFFERENCE * step[j]].into_iter().find_map(|h| {
+                    let mut there = x.clone();
+                    there[j] += h;
+                    used += 1;
+                    Some((tried(&there)?.1, h))
+                });
+                let Some((there, h)) = beside else { return false };
+                slopes.push(self.shadow.sum([(&there, 1.0 / h), (&added, -1.0 / h)].into_iter()));
+            }
+            let gram = DMatrix::from_fn(n, n, |i, j| self.shadow.beyond(&slopes[i], &slopes[j]));
+            let right = DVector::from_fn(n, |j, _| {
+                self.shadow.facing(&slopes[j]) - self.shadow.beyond(&added, &slopes[j])
+            });
+            let mut next = None;
+            for _ in 0..MOST_DAMPED_STEPS {
+                let mut damped = gram.clone();
+                for j in 0..n {
+                    damped[(j, j)] += damping * gram[(j, j)] + 1e-12 / step[j].powi(2);
+                }
+                let Some(mut by) = damped.cholesky().map(|c| c.solve(&right)) else {
+                    break;
+                };
+                let widest = (0..n).map(|j| by[j].abs() / (2.0 * step[j])).fold(1.0, f64::max);
+                by /= widest;
+                if by.dot(&right) < CONVERGED {
+                    // nothing is to be had any more
+                    return true;
+                }
+                let there: Vec<f64> = (0..n).map(|j| x[j] + by[j]).collect();
+                used += 1;
+                next = tried(&there).filter(|t| t.0 < value).map(|t| (there, t));
+                if next.is_some() {
+                    damping *= 0.1;
+                    break;
+                }
+                damping *= 10.0;
+            }
+            let Some((there, (less, with))) = next else {
+                return x != start;
+            };
+            let gain = value - less;
+            (x, value, added) = (there, less, with);
+            if gain < CONVERGED {
+                break;
+            }
+        }
+        true
     }
 
     /// Whether a tight spot lies within the travel, so far that friction is seen to fall again on both sides: else it

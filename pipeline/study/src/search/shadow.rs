@@ -116,8 +116,8 @@ impl Shadow {
             .sum()
     }
 
-    /// What is left of each equation and of the priors, squared, without what so much of some columns is beyond the basis.
-    pub fn left<'a>(&self, columns: impl Iterator<Item = (&'a Cast, f64)>) -> ([f64; 5], f64) {
+    /// So much of each of some columns.
+    pub fn sum<'a>(&self, columns: impl Iterator<Item = (&'a Cast, f64)>) -> Cast {
         let n = self.q.len();
         let mut sum = Cast {
             column: vec![0.0; self.blocks.iter().map(|b| b.1.end).max().unwrap_or(0)],
@@ -136,6 +136,11 @@ impl Shadow {
                 sum.along[e].axpy(amplitude, &c.along[e], 1.0);
             }
         }
+        sum
+    }
+
+    /// What is left of each equation and of the priors, squared, without what a column is beyond the basis.
+    pub fn left(&self, sum: &Cast) -> ([f64; 5], f64) {
         let energy = std::array::from_fn(|e| {
             // (residual - column + basis x whole)^2
             let mut of = self.energy[e] + 2.0 * self.facing[e].dot(&sum.whole);
@@ -147,7 +152,7 @@ impl Shadow {
             of.max(0.0)
         });
         let (basis, residual) = &self.priors;
-        (energy, (residual + basis * sum.whole).norm_squared())
+        (energy, (residual + basis * &sum.whole).norm_squared())
     }
 }
 
@@ -188,7 +193,7 @@ mod tests {
         near(shadow.beyond(&one, &two), dot(&a, &b));
         near(shadow.facing(&one), dot(&a, &residual));
         let rest: Vec<f64> = (0..n).map(|i| residual[i] - 0.4 * a[i] + 1.7 * b[i]).collect();
-        let (energy, prior) = shadow.left([(&one, 0.4), (&two, -1.7)].into_iter());
+        let (energy, prior) = shadow.left(&shadow.sum([(&one, 0.4), (&two, -1.7)].into_iter()));
         for e in 0..5 {
             let rows = blocks.iter().filter(|x| x.0 == e);
             near(

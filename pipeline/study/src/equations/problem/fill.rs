@@ -3,7 +3,7 @@
 use super::{Problem, over};
 use crate::equations::nuisances::{Nuisance, SENSOR_OFFSET_OF_RANGE};
 use crate::equations::pieces::{Column, Piece, wide};
-use crate::equations::whitener::Rows;
+use crate::equations::whitener::{Rows, Set};
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
 use crate::measured::recording::{Run, range};
@@ -36,13 +36,14 @@ impl Problem {
                         .for_each(|(o, v)| *o = factor * v);
                 }
             };
-            let torque = |t: &[f64]| self.mechanics.rows(Some(t), None, None, s);
-            let speed_of = |v: &[f64]| self.mechanics.rows(None, None, Some(v), s);
+            let one = |signals: Set| self.mechanics.rows(&[signals], s).remove(0);
+            let torque = |t: &[f64]| one([Some(t), None, None]);
+            let speed_of = |v: &[f64]| one([None, None, Some(v)]);
             let at = |c: C| run.channel(c).map(|x| moved(x, self.clock.lateness(bench, c).0));
             let (position, velocity) = (at(C::Position), at(C::Velocity));
             let each = |f: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..s.n).map(f).collect() };
             let net = each(&|k| kt * s.drive[k] - s.load[k] - b0 * s.omega[k] - tc * s.sign[k] - rig.offset);
-            let seen = self.mechanics.rows(None, position.as_deref(), velocity.as_deref(), s);
+            let seen = one([None, position.as_deref(), velocity.as_deref()]);
             let expected = torque(&net);
             // the torque that is expected to be left for J dw/dt, and what the motion makes of it
             let left: Rows = if self.clock.steady {
