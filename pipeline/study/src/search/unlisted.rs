@@ -18,6 +18,9 @@ use std::f64::consts::FRAC_PI_2;
 /// Share of what is left that a law takes from which it is there, on the runs that find and on those that prove (assumed: rigs of
 /// another hand in which nothing is hidden left up to 0.07).
 const SEEN: f64 = 0.1;
+/// The same of a constant that is another one at other times: what the neighbouring times say of noise is as often wrong as right
+/// (assumed: the same rigs left up to 0.002).
+const SEEN_IN_TIME: f64 = 0.04;
 /// The same beside effects that were found, and what it takes of what they explain (assumed: rigs of another hand with one effect left up
 /// to 0.23 and 0.001).
 const SEEN_BESIDE: f64 = 0.3;
@@ -274,7 +277,7 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
     let mut see = |law: Law, of_left: f64| seen.push(Unlisted { law, of_left });
     for c in Constant::ALL {
         let share = in_time(m, &found, c);
-        if share > SEEN {
+        if share > SEEN_IN_TIME {
             see(Law::InTime(c), share.min(in_time(m, &proven, c)));
         }
     }
@@ -297,6 +300,7 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
     let explained = (trial.prove.energy(&m.held_residual(retuned)) - left_of).max(0.0);
     let there = |u: &Unlisted| {
         let (least, of_explained) = match u.law {
+            Law::InTime(_) if !beside => (SEEN_IN_TIME, 0.0),
             _ if !beside => (SEEN, 0.0),
             // a friction whose law is a little another is another one at other times too
             Law::InTime(_) | Law::WithTime(_) => (SEEN_BESIDE, MOST),
