@@ -45,6 +45,8 @@ pub struct Problem {
     pub drive: Vec<f64>,
     /// columns of the nuisance parameters
     pub base: Vec<Vec<f64>>,
+    /// which of them is dry friction's
+    pub dry_friction: Option<usize>,
     /// columns of single runs: offsets of position and phase currents, mains hum; what each is believed to be at most,
     /// one sigma in its own unit
     pub local: Vec<Vec<f64>>,
@@ -200,6 +202,7 @@ impl Problem {
             y: vec![0.0; rows],
             drive: vec![0.0; rows],
             base: Vec::new(),
+            dry_friction: None,
             local: Vec::new(),
             local_trust: Vec::new(),
             floor,

@@ -2,12 +2,13 @@
 
 use crate::candidates::columns;
 use crate::equations::nuisances::Nuisance;
-use crate::equations::pieces::RigConstants;
+use crate::equations::pieces::{RigConstants, wide};
 use crate::equations::problem::Problem;
 use crate::measured::sums::dot;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
+use std::borrow::Cow;
 
 /// An effect in the model under study.
 #[derive(Clone, Debug)]
@@ -136,13 +137,43 @@ pub fn regressors(p: &Problem, terms: &[Term], c: &RigConstants) -> Vec<Regresso
         .collect()
 }
 
-/// Left-hand side less the fixed parts, and the columns of the amplitudes.
-pub fn assembled<'a>(p: &Problem, regressors: &'a [Regressor]) -> (Vec<f64>, Vec<&'a Vec<f64>>) {
+/// A model's equations.
+pub struct Assembled<'a> {
+    /// left-hand side less the fixed parts
+    pub y: Vec<f64>,
+    /// columns of the constants
+    pub base: Vec<Cow<'a, Vec<f64>>>,
+    /// columns of the amplitudes
+    pub further: Vec<&'a Vec<f64>>,
+}
+
+/// * `regs` of the terms, in their order
+pub fn assembled<'a>(p: &'a Problem, c: &RigConstants, terms: &[Term], regs: &'a [Regressor]) -> Assembled<'a> {
     let mut y = p.y.clone();
-    for f in regressors.iter().filter_map(|r| r.fixed.as_ref()) {
+    for f in regs.iter().filter_map(|r| r.fixed.as_ref()) {
         y.iter_mut().zip(f).for_each(|(y, f)| *y -= f);
     }
-    (y, regressors.iter().flat_map(|r| &r.linear).collect())
+    Assembled {
+        y,
+        base: base(p, c, terms, regs),
+        further: regs.iter().flat_map(|r| &r.linear).collect(),
+    }
+}
+
+/// Columns of the constants beside effects: with bristles in place of dry friction, more of it is more of theirs.
+pub fn base<'a>(p: &'a Problem, c: &RigConstants, terms: &[Term], regs: &[Regressor]) -> Vec<Cow<'a, Vec<f64>>> {
+    let mut base: Vec<_> = p.base.iter().map(Cow::Borrowed).collect();
+    let bristles = terms.iter().position(|t| t.kind == EffectKind::Presliding);
+    let instead = bristles.and_then(|i| regs[i].fixed.as_ref());
+    if let (Some(at), Some(instead)) = (p.dry_friction, instead) {
+        let friction = c.effect.coulomb;
+        if friction > 0.0 {
+            let by = wide(friction) / friction;
+            let column = base[at].to_mut();
+            column.iter_mut().zip(instead).for_each(|(b, f)| *b += by * f);
+        }
+    }
+    base
 }
 
 /// Solves for nuisance parameters and amplitudes of terms whose shapes are given; the standard
@@ -230,8 +261,8 @@ fn trusts(terms: &[Term], regs: &[Regressor]) -> Vec<Option<f64>> {
 
 fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[Term], sigma0: [f64; 5]) -> Fit {
     let regs = regressors(p, terms, c);
-    let (y, further) = assembled(p, &regs);
-    let columns: Vec<&Vec<f64>> = p.base.iter().chain(&p.local).chain(further.iter().copied()).collect();
+    let Assembled { y, base, further } = assembled(p, c, terms, &regs);
+    let columns: Vec<&Vec<f64>> = base.iter().map(AsRef::as_ref).chain(&p.local).chain(further).collect();
     // columns of the measured current beside the resistance's
     let first = p.base.len() + p.local.len();
     let trusts = trusts(terms, &regs);
@@ -408,9 +439,9 @@ pub fn crossed(p: &Problem, c: &RigConstants, fit: &Fit, fold: &[usize], folds: 
     // a belief that holds a parameter of the fit holds it here
     let nuisances = &fit.believed;
     let regs = regressors(p, &fit.terms, c);
-    let (y, further) = assembled(p, &regs);
+    let Assembled { y, base, further } = assembled(p, c, &fit.terms, &regs);
     let trusts = trusts(&fit.terms, &regs);
-    let columns: Vec<&Vec<f64>> = p.base.iter().chain(&p.local).chain(further.iter().copied()).collect();
+    let columns: Vec<&Vec<f64>> = base.iter().map(AsRef::as_ref).chain(&p.local).chain(further).collect();
     let n = columns.len();
     let weights = p.weights(&fit.sigma);
     let norms: Vec<f64> = columns
@@ -461,9 +492,14 @@ pub fn crossed(p: &Problem, c: &RigConstants, fit: &Fit, fold: &[usize], folds: 
 /// Residual of a fitted model on other runs; only what belongs to single runs is fitted there.
 pub fn predicted(p: &Problem, c: &RigConstants, fit: &Fit) -> Vec<f64> {
     let regs = regressors(p, &fit.terms, c);
-    let (mut r, further) = assembled(p, &regs);
+    let Assembled {
+        y: mut r,
+        base,
+        further,
+    } = assembled(p, c, &fit.terms, &regs);
     let amplitudes = fit.terms.iter().flat_map(|t| &t.amplitudes);
-    for (x, col) in fit.nuisance.iter().zip(&p.base).chain(amplitudes.zip(further)) {
+    let base = base.iter().map(AsRef::as_ref);
+    for (x, col) in fit.nuisance.iter().zip(base).chain(amplitudes.zip(further)) {
         r.iter_mut().zip(col.iter()).for_each(|(r, c)| *r -= x * c);
     }
     without_local(p, r, &fit.sigma)

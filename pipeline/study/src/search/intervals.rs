@@ -12,6 +12,7 @@ use crate::search::select::Material;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, NORMAL_95};
+use std::borrow::Cow;
 
 /// Length of a block [s] (assumed: longer than any memory of residuals seen).
 const BLOCK_S: f64 = 0.5;
@@ -38,7 +39,8 @@ pub struct Intervals {
 /// Derivative columns of the prediction by every parameter: nuisance, amplitudes, shapes.
 fn jacobian(m: &Material, p: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     let regs = fit::regressors(p, &fit.terms, &m.constants);
-    let mut j: Vec<Vec<f64>> = p.base.clone();
+    let base = fit::base(p, &m.constants, &fit.terms, &regs);
+    let mut j: Vec<Vec<f64>> = base.into_iter().map(Cow::into_owned).collect();
     for r in &regs {
         j.extend(r.linear.iter().cloned());
     }

@@ -7,7 +7,7 @@ use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
 use crate::measured::sums::dot;
-use crate::search::fit::{Regressor, Score, Term, log_likelihood};
+use crate::search::fit::{Assembled, Regressor, Score, Term, log_likelihood};
 use crate::search::shadow::{Cast, Shadow};
 use crate::search::spectrum;
 use nalgebra::{DMatrix, DVector};
@@ -26,14 +26,14 @@ struct Basis {
 }
 
 impl Basis {
-    fn new(p: &Problem, weights: &[f64], nuisances: &[Nuisance], further: &[&Vec<f64>]) -> Self {
+    fn new(p: &Problem, weights: &[f64], nuisances: &[Nuisance], fitted: &Assembled<'_>) -> Self {
         let extra = nuisances.len() + p.local.len();
         let mut basis = Self {
             q: Vec::new(),
             weights: weights.to_vec(),
             extra,
         };
-        for (j, (column, n)) in p.base.iter().zip(nuisances).enumerate() {
+        for (j, (column, n)) in fitted.base.iter().zip(nuisances).enumerate() {
             let mut c = basis.extended(column);
             if let Some(sigma) = n.trust {
                 c[p.rows + j] = 1.0 / sigma.max(1e-9);
@@ -47,7 +47,7 @@ impl Basis {
             }
             basis.push(c);
         }
-        for column in further {
+        for column in &fitted.further {
             let c = basis.extended(column);
             basis.push(c);
         }
@@ -112,17 +112,16 @@ pub struct Scan<'a> {
 }
 
 impl<'a> Scan<'a> {
-    /// * `y` left-hand side less the fixed parts of the effects in the model, whose columns are `further`
+    /// * `fitted` the model's equations
     pub fn new(
         p: &'a Problem,
         constants: &'a RigConstants,
         nuisances: &[Nuisance],
-        y: &[f64],
-        further: &[&Vec<f64>],
+        fitted: &Assembled<'_>,
         sigma: [f64; 5],
     ) -> Self {
-        let basis = Basis::new(p, &p.weights(&sigma), nuisances, further);
-        let mut residual = basis.extended(y);
+        let basis = Basis::new(p, &p.weights(&sigma), nuisances, fitted);
+        let mut residual = basis.extended(&fitted.y);
         for (j, n) in nuisances.iter().enumerate() {
             if let Some(sigma) = n.trust {
                 residual[p.rows + j] = n.centre / sigma.max(1e-9);

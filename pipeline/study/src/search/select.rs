@@ -255,13 +255,13 @@ impl Material {
     /// All candidates on top of a model, best first.
     pub fn scan(&self, model: &Fit, kinds: &[EffectKind]) -> Vec<Ranked> {
         let regs = fit::regressors(&self.fit, &model.terms, &self.constants);
-        let (y, further) = fit::assembled(&self.fit, &regs);
+        let fitted = fit::assembled(&self.fit, &self.constants, &model.terms, &regs);
         // a sensor that the model holds at the end of its belief is held: what runs beyond it is what candidates are to explain
         let pairs = self.nuisances.iter().zip(&model.believed);
         let nuisances: Vec<Nuisance> = pairs
             .map(|(n, held)| if n.of_machine { n } else { held }.clone())
             .collect();
-        let of = |n: &[Nuisance]| Scan::new(&self.fit, &self.constants, n, &y, &further, model.sigma);
+        let of = |n: &[Nuisance]| Scan::new(&self.fit, &self.constants, n, &fitted, model.sigma);
         let scan = of(&nuisances).with_orders();
         let silent = excitation::not_excited(self);
         let open = |k: &EffectKind| {
@@ -298,10 +298,10 @@ impl Material {
                     .map(|(_, t)| t.clone())
                     .collect();
                 let regs: Vec<Regressor> = fit::regressors(&self.fit, &others, &self.constants);
-                let (y, further) = fit::assembled(&self.fit, &regs);
+                let fitted = fit::assembled(&self.fit, &self.constants, &others, &regs);
                 let tied = fit::beside(&self.nuisances, terms.iter().map(|t| t.kind));
                 let nuisances = tied.as_ref().unwrap_or(&self.nuisances);
-                let scan = Scan::new(&self.fit, &self.constants, nuisances, &y, &further, sigma);
+                let scan = Scan::new(&self.fit, &self.constants, nuisances, &fitted, sigma);
                 if let Some(score) = scan.score(terms[i].kind, &terms[i].shape) {
                     terms[i] = whole(scan.refined(terms[i].kind, &terms[i].shape, &score, 60).0);
                 }

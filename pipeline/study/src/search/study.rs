@@ -18,6 +18,18 @@ use crate::search::unlisted::unlisted;
 use crate::search::verdict::{SLOW_S, Verdict, WORTH, conclude};
 use sim_worker::effect::{EffectKind, Equation, Law};
 
+/// Most rounds in which constants are carried into the equations beside a new effect; two but for bristles.
+const MOST_ROUNDS: usize = 4;
+/// Change of dry friction from which another round is due (assumed).
+const STILL_MOVES: f64 = 2e-3;
+
+/// Whether what bristles are in place of is the dry friction that the equations have.
+fn settled(m: &Material, model: &Fit) -> bool {
+    let bristles = model.terms.iter().any(|t| t.kind == EffectKind::Presliding);
+    let moved = fit::deviation(&m.nuisances, model, "coulomb").map_or(0.0, |(_, x)| x.abs());
+    !bristles || moved < STILL_MOVES
+}
+
 /// Most effects that one study adds.
 pub const MOST_EFFECTS: usize = 4;
 /// Gain of a candidate that is worth a look at pairs although it is refused alone.
@@ -261,13 +273,16 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
             break;
         }
         model = m.by_other_laws(next);
-        for round in 0..2 {
+        for round in 0..MOST_ROUNDS {
             let terms;
             (m, terms) = m.carried(&model);
             if round == 0 {
                 m = m.on_time(&model.terms);
             }
             model = m.polish(&m.solve(&terms, model.sigma), 1);
+            if round > 0 && settled(&m, &model) {
+                break;
+            }
         }
         (m, model) = m.needed_delays(model);
         model = needed(&m, model);

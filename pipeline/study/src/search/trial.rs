@@ -8,6 +8,7 @@ use crate::search::fit::{self, Fit};
 use crate::search::select::Material;
 use nalgebra::{DMatrix, DVector};
 use sim_worker::effect::Equation;
+use std::borrow::Cow;
 use std::cell::OnceCell;
 
 /// Share of what effects explain that something beside them may take (assumed: laws of the list left up to 0.004, a spring with a cubic
@@ -126,9 +127,12 @@ impl<'a> Trial<'a> {
     fn own(&self) -> &Own {
         self.own.get_or_init(|| {
             let of = |p: &Problem| -> Vec<Vec<f64>> {
-                let regressors = fit::regressors(p, &self.model.terms, &self.m.constants);
-                let amplitudes = regressors.into_iter().flat_map(|r| r.linear);
-                p.base.iter().cloned().chain(amplitudes).collect()
+                let (terms, constants) = (&self.model.terms, &self.m.constants);
+                let regressors = fit::regressors(p, terms, constants);
+                let base = fit::base(p, constants, terms, &regressors)
+                    .into_iter()
+                    .map(Cow::into_owned);
+                base.chain(regressors.into_iter().flat_map(|r| r.linear)).collect()
             };
             let of_model = of(self.find.p);
             let all = of_model.iter().chain(&self.find.p.local);

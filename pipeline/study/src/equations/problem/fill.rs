@@ -203,6 +203,7 @@ impl Problem {
         self.y = y;
         self.drive = drive;
         self.base = base;
+        self.dry_friction = place("coulomb");
         for rows in offsets {
             let mut c = vec![0.0; self.rows];
             c[rows].fill(1.0);
