@@ -369,13 +369,14 @@ impl Problem {
         extent(self.signals.iter().flat_map(|s| &s.theta).copied())
     }
 
-    /// Rows of an equation.
+    /// Rows of an equation, run by run.
+    pub fn blocks_of(&self, e: Equation) -> impl Iterator<Item = &Block> {
+        self.blocks.iter().filter(move |b| b.equation == e)
+    }
+
+    /// How many rows an equation has.
     pub fn rows_of(&self, e: Equation) -> usize {
-        self.blocks
-            .iter()
-            .filter(|b| b.equation == e)
-            .map(|b| b.rows.len())
-            .sum()
+        self.blocks_of(e).map(|b| b.rows.len()).sum()
     }
 
     /// Whether a second sensor sees the load.

@@ -31,8 +31,8 @@ impl Problem {
     fn block_means(&self, residual: &[f64], e: Equation, seconds: f64) -> impl Iterator<Item = Vec<f64>> {
         let m = ((seconds * self.row_rate_hz(e)) as usize).max(1);
         let mean = move |rows: &[f64]| rows.iter().sum::<f64>() / (m as f64).sqrt();
-        let blocks = self.blocks.iter().filter(move |b| b.equation == e);
-        blocks.map(move |b| residual[b.rows.clone()].chunks_exact(m).map(mean).collect())
+        self.blocks_of(e)
+            .map(move |b| residual[b.rows.clone()].chunks_exact(m).map(mean).collect())
     }
 
     /// Energy over that of the sensors' noise, a row, of what is left in means over `seconds`: slow torques stay,

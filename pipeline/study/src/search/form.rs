@@ -6,13 +6,14 @@ use crate::equations::signals::Signals;
 use crate::measured::recording::extent;
 use crate::search::fit::{Fit, Term};
 use crate::search::remainder::{Regressor, edges};
-use crate::search::trial::{CLEAR, MOST, Trial, torque_blocks, torque_column};
+use crate::search::trial::{CLEAR, MOST, Trial, torque_column};
 use crate::search::unlisted::Unlisted;
 use crate::search::verdict::BEYOND;
 use sim_worker::effect::{EffectKind, Equation};
 
 /// Pieces of a form, as many samples in each.
 const PIECES: usize = 12;
+
 /// Why what was found is not what is there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Strange {
@@ -41,7 +42,7 @@ struct Hats {
 impl Hats {
     fn new(p: &Problem, of: Regressor, signed: bool) -> Option<Self> {
         let samples = |b: &Block| -> Vec<f64> { b.samples.iter().map(|&k| of.value(&p.signals[b.run], k)).collect() };
-        let (low, high) = extent(torque_blocks(p).flat_map(samples));
+        let (low, high) = extent(p.blocks_of(Equation::Torque).flat_map(samples));
         let mut knots = vec![low];
         knots.extend(edges(p, Equation::Torque, of, PIECES));
         knots.push(high);

@@ -3,7 +3,8 @@
 use crate::candidates::bristles::{STATIC, breaks_away};
 use crate::candidates::shapes;
 use crate::candidates::springs::BY_TORQUE;
-use crate::search::fit::{Fit, Term};
+use crate::measured::sums::dot;
+use crate::search::fit::{Fit, Regressor, Term};
 use crate::search::select::Material;
 use crate::search::study::penalised;
 use sim_worker::effect::{EffectKind, Equation};
@@ -67,6 +68,30 @@ impl Material {
             dynamic
         };
         self.if_better(model, static_too)
+    }
+
+    /// A model whose spring differs by less than the sensors' noise wherever the motor is, with the constant torque in which that is at ease.
+    pub(super) fn at_ease(&self, model: Fit) -> Fit {
+        let Some(at) = model.terms.iter().position(|t| t.kind == EffectKind::SpringLoad) else {
+            return model;
+        };
+        let spring = &model.terms[at];
+        let columns = Regressor::new(&self.fit, spring.kind, &spring.shape, &self.constants).linear;
+        let [by_angle, constant] = columns.as_slice() else {
+            return model;
+        };
+        let mean = dot(by_angle, constant) / dot(constant, constant).max(1e-300);
+        let differs: Vec<f64> = by_angle.iter().zip(constant).map(|(a, c)| a - mean * c).collect();
+        if spring.amplitudes[0].powi(2) * dot(&differs, &differs) > self.fit.sensor_energy(Equation::Torque.index()) {
+            return model;
+        }
+        let mut terms = model.terms.clone();
+        terms[at] = Term {
+            kind: EffectKind::BiasTorque,
+            shape: Vec::new(),
+            amplitudes: Vec::new(),
+        };
+        self.polish(&self.solve(&terms, model.sigma), 1)
     }
 
     /// A model with terms changed, and solved again, where that tells the data better.

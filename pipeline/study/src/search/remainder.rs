@@ -77,8 +77,8 @@ impl Regressor {
 
 /// Bin edges of a regressor over the rows of an equation: equal counts.
 pub fn edges(p: &Problem, e: Equation, r: Regressor, bins: usize) -> Vec<f64> {
-    let blocks = p.blocks.iter().filter(|b| b.equation == e);
-    let mut all: Vec<f64> = blocks
+    let mut all: Vec<f64> = p
+        .blocks_of(e)
         .flat_map(|b| b.samples.iter().map(|&k| r.value(&p.signals[b.run], k)))
         .collect();
     all.sort_by(f64::total_cmp);
@@ -162,7 +162,7 @@ pub fn gained(
     let mut gram = vec![0.0; n * n];
     let mut right = vec![0.0; n];
     let mut entries = Vec::new();
-    let blocks = |p: &Problem| -> Vec<Block> { p.blocks.iter().filter(|b| b.equation == e).cloned().collect() };
+    let blocks = |p: &Problem| -> Vec<Block> { p.blocks_of(e).cloned().collect() };
     for b in blocks(fit) {
         for (row, &k) in b.rows.clone().zip(&b.samples) {
             table.entries(&fit.signals[b.run], k, &mut entries);

@@ -35,7 +35,7 @@ pub fn orders(p: &Problem, residual: &[f64], factor: Factor) -> Vec<f64> {
         (LONGEST, LONGEST as f64 / (2.0 * turns))
     };
     let (mut re, mut im) = (vec![0.0; length], vec![0.0; length]);
-    for b in p.blocks.iter().filter(|b| b.equation == Equation::Torque) {
+    for b in p.blocks_of(Equation::Torque) {
         let s = &p.signals[b.run];
         for (row, &k) in b.rows.clone().zip(&b.samples) {
             let at = ((s.theta[k] - low) / TAU * bins) as usize;
@@ -61,7 +61,7 @@ pub fn orders(p: &Problem, residual: &[f64], factor: Factor) -> Vec<f64> {
 /// * `every` samples in an entry
 pub fn over_time(p: &Problem, residual: &[f64], length: usize, every: usize) -> Vec<f64> {
     let mut power = vec![0.0; length / 2];
-    for b in p.blocks.iter().filter(|b| b.equation == Equation::Torque) {
+    for b in p.blocks_of(Equation::Torque) {
         let (mut re, mut im) = (vec![0.0; length], vec![0.0; length]);
         for (row, &k) in b.rows.clone().zip(&b.samples) {
             re[(k / every).min(length - 1)] += residual[row];

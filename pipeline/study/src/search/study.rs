@@ -5,9 +5,8 @@ use crate::candidates::columns::{self, Form};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::measured::bench::BenchChannel;
-use crate::measured::sums::dot;
 use crate::search::beside::{self, Beside};
-use crate::search::fit::{self, Fit, Regressor, Term};
+use crate::search::fit::{self, Fit, Term};
 use crate::search::form::{self, Strange};
 use crate::search::intervals;
 use crate::search::judge::{LEAST_GAIN, OTHERWISE, SLOW_EXCESS, SLOWEST, Step, TWICE, judged};
@@ -27,7 +26,7 @@ const STILL_MOVES: f64 = 2e-3;
 /// Whether what bristles are in place of is the dry friction that the equations have.
 fn settled(m: &Material, model: &Fit) -> bool {
     let bristles = model.terms.iter().any(|t| t.kind == EffectKind::Presliding);
-    let moved = fit::deviation(&m.nuisances, model, "coulomb").map_or(0.0, |(_, x)| x.abs());
+    let moved = m.fit.dry_friction.map_or(0.0, |i| model.nuisance[i].abs());
     !bristles || moved < STILL_MOVES
 }
 
@@ -286,7 +285,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
             }
         }
         (m, model) = m.needed_delays(model);
-        model = needed(&m, slack(&m, model));
+        model = needed(&m, m.at_ease(model));
     }
     // an amplitude of the wrong sign, or one that may as well be nothing, is no effect
     while let Some(wrong) = model
@@ -431,30 +430,6 @@ fn needed(m: &Material, mut model: Fit) -> Fit {
         }
     }
     model
-}
-
-/// A spring whose torque differs by less than the sensors' noise wherever the motor is, is the constant torque in which it is at ease.
-fn slack(m: &Material, model: Fit) -> Fit {
-    let Some(at) = model.terms.iter().position(|t| t.kind == EffectKind::SpringLoad) else {
-        return model;
-    };
-    let spring = &model.terms[at];
-    let columns = Regressor::new(&m.fit, spring.kind, &spring.shape, &m.constants).linear;
-    let [by_angle, constant] = columns.as_slice() else {
-        return model;
-    };
-    let mean = dot(by_angle, constant) / dot(constant, constant).max(1e-300);
-    let differs: Vec<f64> = by_angle.iter().zip(constant).map(|(a, c)| a - mean * c).collect();
-    if spring.amplitudes[0].powi(2) * dot(&differs, &differs) > m.fit.sensor_energy(Equation::Torque.index()) {
-        return model;
-    }
-    let mut terms = model.terms.clone();
-    terms[at] = Term {
-        kind: EffectKind::BiasTorque,
-        shape: Vec::new(),
-        amplitudes: Vec::new(),
-    };
-    m.polish(&m.solve(&terms, model.sigma), 1)
 }
 
 /// Takes out the terms without which held-out data, seen here for the first time, are told as well: their kinds, and what

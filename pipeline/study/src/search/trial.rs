@@ -1,7 +1,7 @@
 //! Columns beside a model: learnt on the fit runs, tried on the held-out ones.
 
 use crate::equations::pieces::Piece;
-use crate::equations::problem::{Block, Problem};
+use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::sums::dot;
 use crate::search::fit::{self, Fit};
@@ -21,11 +21,6 @@ const RIDGE: f64 = 1e-7;
 
 /// Columns of a form, or of a law, over the rows of a problem.
 pub type Columns<'a> = dyn Fn(&Problem) -> Vec<Vec<f64>> + 'a;
-
-/// Rows of the torque, run by run.
-pub fn torque_blocks(p: &Problem) -> impl Iterator<Item = &Block> {
-    p.blocks.iter().filter(|b| b.equation == Equation::Torque)
-}
 
 /// Column of a torque at each sample of each run.
 pub fn torque_column(p: &Problem, torque: impl Fn(&Signals, usize) -> f64) -> Vec<f64> {
@@ -82,7 +77,7 @@ impl<'a> Trial<'a> {
     pub fn new(m: &'a Material, model: &'a Fit) -> Option<Self> {
         let held = m.held.as_ref()?;
         let judged = m.judged_residual(model);
-        let rows = torque_blocks(held).flat_map(|b| b.rows.clone());
+        let rows = held.blocks_of(Equation::Torque).flat_map(|b| b.rows.clone());
         Some(Self::on(m, held, model, rows.filter(|r| judged[*r] != 0.0).collect()))
     }
 
@@ -98,7 +93,7 @@ impl<'a> Trial<'a> {
         let find = Side {
             p: &m.fit,
             residual: model.residual.clone(),
-            rows: torque_blocks(&m.fit).flat_map(|b| b.rows.clone()).collect(),
+            rows: m.fit.blocks_of(Equation::Torque).flat_map(|b| b.rows.clone()).collect(),
         };
         let prove = Side {
             p: held,

@@ -9,7 +9,7 @@ use crate::search::fit::Fit;
 use crate::search::remainder::{Regressor, bin, edges};
 use crate::search::select::Material;
 use crate::search::spectrum::{LONGEST, over_time};
-use crate::search::trial::{CLEAR, Columns, MOST, Side, Trial, torque_blocks, torque_column};
+use crate::search::trial::{CLEAR, Columns, MOST, Side, Trial, torque_column};
 use crate::search::verdict::{BEYOND, WORTH};
 use sim_worker::effect::{EffectKind, Equation};
 use std::collections::BTreeMap;
@@ -41,11 +41,11 @@ const TONES_HZ: (f64, f64) = (0.5, 100.0);
 /// Power of a tone over the median of its neighbours' (assumed: without one up to 15), on either side of so much [Hz].
 const STANDS_OUT: f64 = 30.0;
 const NEIGHBOURS_HZ: f64 = 3.0;
+/// Frequencies on either side that a median takes at least.
+const LEAST_NEIGHBOURS: usize = 8;
 /// Power of a tone over that of the drive's torque at its frequency from which it is no part of it (assumed: a loop that holds a tone down
 /// drives with 0.5 to 2 times its torque, what an equation has wrong of a command's line is a few hundredths of it).
 const OF_DRIVE: f64 = 0.1;
-/// Frequencies on either side that a median takes at least.
-const LEAST_NEIGHBOURS: usize = 8;
 /// Pieces of the travel in which a constant is one.
 const PLACES: usize = 8;
 /// Orders of the turn with which an inertia may go.
@@ -162,7 +162,7 @@ impl<'a> Left<'a> {
 fn taken_in_time(side: &Left, column: &[f64], trust: f64) -> f64 {
     let rate = side.p.clock.rate_hz;
     let mut taken = 0.0;
-    for b in torque_blocks(side.p) {
+    for b in side.p.blocks_of(Equation::Torque) {
         let mut whiles = BTreeMap::<usize, (f64, f64)>::new();
         for (row, &k) in b.rows.clone().zip(&b.samples) {
             let s = whiles.entry((k as f64 / rate / WHILE_S) as usize).or_default();
@@ -201,8 +201,8 @@ fn in_time(m: &Material, side: &Left, constant: Constant) -> f64 {
 /// The frequency that stands out of what is left of the runs that find, and its share of what is left of those that prove.
 fn tone(m: &Material, find: &Left, prove: &Left) -> Option<(f64, f64)> {
     let every = find.p.group().max(1);
-    let blocks = || torque_blocks(find.p).chain(torque_blocks(prove.p));
-    let longest = blocks().filter_map(|b| b.samples.last()).max()? / every + 1;
+    let blocks = [find, prove].into_iter().flat_map(|s| s.p.blocks_of(Equation::Torque));
+    let longest = blocks.filter_map(|b| b.samples.last()).max()? / every + 1;
     let length = (4 * longest).next_power_of_two().min(LONGEST);
     let powers = [find, prove].map(|s| (over_time(s.p, &s.residual, length, every), s.energy()));
     let hz = find.p.clock.rate_hz / every as f64 / length as f64;
@@ -219,13 +219,15 @@ fn tone(m: &Material, find: &Left, prove: &Left) -> Option<(f64, f64)> {
         let out = highest > STANDS_OUT * around[around.len() / 2];
         (out, highest / left.max(1e-300))
     });
-    let own = [find, prove].iter().zip(&powers).all(|(s, (power, _))| {
-        let push = torque_column(s.p, |s, k| Constant::Gain.torque(m, s, k));
-        let drive = over_time(s.p, &push, length, every);
-        near.clone().map(|i| power[i]).sum::<f64>() > OF_DRIVE * near.clone().map(|i| drive[i]).sum::<f64>()
-    });
+    let of = |power: &[f64]| -> f64 { power[near.clone()].iter().sum() };
+    let own = || {
+        [find, prove].iter().zip(&powers).all(|(s, (power, _))| {
+            let push = torque_column(s.p, |s, k| Constant::Gain.torque(m, s, k));
+            of(power) > OF_DRIVE * of(&over_time(s.p, &push, length, every))
+        })
+    };
     let share = stands[0].1.min(stands[1].1);
-    (stands[0].0 && stands[1].0 && own).then_some((at as f64 * hz, share))
+    (stands[0].0 && stands[1].0 && own()).then_some((at as f64 * hz, share))
 }
 
 /// Columns of a constant that moves with the time of a run.

@@ -101,7 +101,7 @@ pub fn rough_energy(p: &Problem, residual: &[f64], e: usize) -> f64 {
 fn drifting(p: &Problem, residual: &[f64], gap: f64) -> bool {
     let length = p.clock.block(1.0);
     let (mut slow, mut all) = (0.0, 0.0);
-    for b in p.blocks.iter().filter(|b| b.equation == Equation::Transmission) {
+    for b in p.blocks_of(Equation::Transmission) {
         let mut seconds = std::collections::BTreeMap::<usize, (f64, f64)>::new();
         for (row, &k) in b.rows.clone().zip(&b.samples) {
             let s = seconds.entry(k / length).or_default();

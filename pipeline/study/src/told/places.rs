@@ -43,7 +43,7 @@ pub fn regions(m: &Material, fit: &Fit) -> Vec<Region> {
             }
         }
         let (mut up, mut down) = (0.0, 0.0);
-        for b in p.blocks.iter().filter(|b| b.equation == e) {
+        for b in p.blocks_of(e) {
             for (row, &k) in b.rows.clone().zip(&b.samples) {
                 let x = fit.residual[row].powi(2) - floor2;
                 if p.signals[b.run].omega[k] > 0.0 {
@@ -80,7 +80,7 @@ pub fn regions(m: &Material, fit: &Fit) -> Vec<Region> {
 /// The range of a signal that holds most of the excess for the share of samples in it.
 fn densest(p: &Problem, fit: &Fit, e: Equation, r: Regressor, size: bool, excess: f64, floor2: f64) -> Option<Region> {
     let mut all: Vec<(f64, f64)> = Vec::new();
-    for b in p.blocks.iter().filter(|b| b.equation == e) {
+    for b in p.blocks_of(e) {
         for (row, &k) in b.rows.clone().zip(&b.samples) {
             let x = r.value(&p.signals[b.run], k);
             all.push((if size { x.abs() } else { x }, fit.residual[row].powi(2) - floor2));
@@ -161,7 +161,7 @@ pub fn profiles(o: &Outcome) -> Vec<Profile> {
             }
             let n = edges.len() + 1;
             let mut sums = vec![[0.0; 4]; n];
-            for b in p.blocks.iter().filter(|b| b.equation == e) {
+            for b in p.blocks_of(e) {
                 for (row, &k) in b.rows.clone().zip(&b.samples) {
                     let x = r.value(&p.signals[b.run], k);
                     let s = &mut sums[remainder::bin(&edges, x)];
@@ -195,7 +195,7 @@ pub fn traces(o: &Outcome) -> Vec<Trace> {
     let m = &o.material;
     let p = m.held_problem();
     let (retuned, last) = (&o.held_residuals.0, &o.held_residuals.1);
-    let Some(block) = p.blocks.iter().find(|b| b.equation == Equation::Torque) else {
+    let Some(block) = p.blocks_of(Equation::Torque).next() else {
         return Vec::new();
     };
     let length = ((1.5 * m.clock.rate_hz) as usize / p.group()).max(50);

@@ -99,13 +99,7 @@ pub(super) fn facts(o: &Outcome, closed: &[ClosedLoop]) -> Vec<(String, String)>
     } else {
         runs.join("; ")
     };
-    let masked: usize = m
-        .fit
-        .blocks
-        .iter()
-        .filter(|b| b.equation == Equation::Torque)
-        .map(|b| b.masked)
-        .sum();
+    let masked: usize = m.fit.blocks_of(Equation::Torque).map(|b| b.masked).sum();
     let rows = m.fit.rows_of(Equation::Torque);
     let p = m.held_problem();
     // in rows, as the gap is
