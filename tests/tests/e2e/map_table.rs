@@ -1,10 +1,8 @@
 //! Maps from the runs of any simulator: a table of faults with recordings or features. Our own test bench stands for the other
 //! simulator here (its family: the figures are of the path, not of a rig).
-mod common;
-
+use crate::common::process::{json, ok, refused, text};
 use arrow::array::AsArray;
 use arrow::datatypes::Float64Type;
-use common::process::{json, ok, refused, text};
 use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::Path;

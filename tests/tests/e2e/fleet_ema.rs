@@ -1,9 +1,7 @@
 //! Fleet datasets with the program `ema`: plan, make, verify, maps, diagnose, export, copy, query; and how Python reads
 //! them.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 use ema_tests::fleet::{files, same};
 use ema_tests::s3::S3Server;
 use serde_json::Value;

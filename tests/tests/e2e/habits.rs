@@ -1,9 +1,9 @@
 //! `ema` as people and programs find it: help, completions, manual pages, what is said beside results, and the schema of
 //! every JSON output.
 
-mod common;
+use crate::common;
 
-use common::process::*;
+use crate::common::process::*;
 use ema_tests::lives::{Options, files, generate};
 use ema_tests::stream::TestDomain;
 use serde_json::Value;

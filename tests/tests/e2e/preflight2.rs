@@ -1,9 +1,7 @@
 //! `preflight2` from end to end: simulated, diagnosed from files and streams, with the supply recorded and without, in a
 //! spread where units differ.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use ema_tests::stream::TestDomain;
 use serde_json::Value;
 use std::path::Path;

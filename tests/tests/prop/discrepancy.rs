@@ -1,9 +1,7 @@
 //! The discrepancy study on data of the blind generator: names, silence, closed loop, and the measured
 //! pitfalls of the method.
 
-mod common;
-
-use common::process::run;
+use crate::common::process::run;
 use ema_study::REFERENCE;
 use ema_study::measured::bench::Bench;
 use ema_study::measured::check::check;
@@ -420,7 +418,7 @@ fn prop_an_interrupted_clock_is_used_as_it_is_and_said() {
 
 #[test]
 fn prop_the_list_of_effects_in_words_is_whole() {
-    let text = include_str!("../../datasets/benches/README.md");
+    let text = include_str!("../../../datasets/benches/README.md");
     for kind in EffectKind::ALL {
         let name = kind.name();
         let row = text.lines().find(|l| l.starts_with(&format!("| `{name}` |")));
@@ -432,7 +430,7 @@ fn prop_the_list_of_effects_in_words_is_whole() {
 
 #[test]
 fn prop_the_worked_example_is_a_bench() {
-    let text = include_str!("../../datasets/benches/README.md");
+    let text = include_str!("../../../datasets/benches/README.md");
     let example = text.split("# rig.toml\n").nth(1).unwrap().split("```").next().unwrap();
     let dir = tempfile::tempdir().unwrap();
     let bench = dir.path().join("rig.toml");

@@ -1,7 +1,5 @@
 //! `ema query` beside DuckDB.
-mod common;
-
-use common::process::{ema, refused, run, text};
+use crate::common::process::{ema, refused, run, text};
 use std::path::Path;
 use std::process::Command;
 

@@ -1,8 +1,6 @@
 //! `ema check`, maps that are flat, and `ema diagnose --method paper`, as processes.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 
 const REFERENCE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../datasets/parameters/reference.toml");
 
@@ -45,7 +43,7 @@ fn e2e_an_actuator_that_a_test_cannot_diagnose_is_told_so() {
     )
     .unwrap();
     let small = dir.path().join("small.toml");
-    let preflight = include_str!("../../datasets/sequences/preflight.toml");
+    let preflight = include_str!("../../../datasets/sequences/preflight.toml");
     std::fs::write(&small, preflight.replace("height_rad = 1.0", "height_rad = 0.2")).unwrap();
     let checked = |args: &[&str]| {
         let o = run(&[&["check"], args, &["--json"]].concat());

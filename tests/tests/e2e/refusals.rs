@@ -1,8 +1,6 @@
 //! `ema` as a process: what it refuses, in one line.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 
 #[test]
 fn refuse_bad_telemetry() {

@@ -1,8 +1,6 @@
 //! The pages for people: what stands on the first screen, that they need nothing from elsewhere, and what they weigh.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 use std::path::Path;
 use std::sync::OnceLock;
 

@@ -1,7 +1,5 @@
 //! Recordings as other programs write them: every codec and encoding of Parquet, with and without the metadata.
-mod common;
-
-use common::process::{json, ok, refused, text};
+use crate::common::process::{json, ok, refused, text};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{BrotliLevel, Compression, Encoding, GzipLevel, ZstdLevel};
 use parquet::file::metadata::KeyValue;

@@ -1,8 +1,6 @@
 //! The discrepancy study on recordings of the test bench: faults, units of unknown health, bristles.
 
-mod common;
-
-use common::process::{json, ok, text};
+use crate::common::process::{json, ok, text};
 use ema_study::REFERENCE;
 use pipeline::discrepancy::{Request, study_file};
 use sim_worker::effect::{Effect, EffectKind, Law};

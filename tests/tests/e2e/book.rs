@@ -1,8 +1,6 @@
 //! The tutorials of the book run, print what they show, and are the notebooks beside them.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

@@ -1,8 +1,6 @@
 //! `ema` as a process: datasets that survive kills, diagnoses, queries.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 use ema_tests::programs;
 use serde_json::Value;
 use std::collections::BTreeMap;

@@ -1,7 +1,5 @@
 //! The FMU of an actuator: as a master in C sees it, and driven by a master in Python (FMPy).
-mod common;
-
-use common::process::{json, ok, refused, text};
+use crate::common::process::{json, ok, refused, text};
 use ema_tests::reference_run;
 use schemas::channel::Channel;
 use serde_json::Value;

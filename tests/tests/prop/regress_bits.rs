@@ -2,9 +2,7 @@
 //! them (`fixtures/bits_0.1.json`: hashes of all values, and whole diagnoses). The fleet's diagnoses are those of the
 //! version with the later witnesses: they and what tells them decide which tests are unexplained.
 
-mod common;
-
-use common::process::{json, ok, text};
+use crate::common::process::{json, ok, text};
 use diagnoser::failure_map::{FailureMap, FailureMapSet};
 use ema_tests::folder;
 use schemas::feature::{Feature, Raw};

@@ -1,8 +1,6 @@
 //! `ema prognosis`, as a process: forms, keys, refusals, histories that went wrong.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 use ema_tests::lives::{Options, files, generate};
 use serde_json::Value;
 use std::fmt::Write;

@@ -1,8 +1,6 @@
 //! `ema live --unit`: streams of units that are known, by the names of their actuators.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use ema_tests::stream::TestDomain;
 use serde_json::Value;
 use std::path::Path;
@@ -91,7 +89,7 @@ fn e2e_a_stream_with_the_name_of_a_unit_is_diagnosed_as_that_unit() {
 fn e2e_a_recorded_temperature_is_known() {
     let (domain, dir) = (TestDomain::default(), tempfile::tempdir().unwrap());
     // friction 24 % up at -40 deg C, as the spread's slope says, and a winding and magnets as cold
-    let reference = include_str!("../../datasets/parameters/reference.toml");
+    let reference = include_str!("../../../datasets/parameters/reference.toml");
     let changed = |text: &str, key: &str, value: f64| {
         let at = text.find(&format!("\n{key} ")).unwrap_or_else(|| panic!("{key}")) + 1;
         let end = at + text[at..].find('\n').unwrap();

@@ -1,9 +1,7 @@
 //! README and guide say what the program does: what README shows of commands comes from them, every command stands in the
 //! guide, the live table is today's, and no link leads nowhere.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 use ema_tests::stream::{Program, TestDomain};
 use std::path::{Path, PathBuf};
 use std::time::Duration;

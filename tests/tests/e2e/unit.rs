@@ -1,8 +1,6 @@
 //! `ema unit` and `ema diagnose --unit`, as processes: a unit that differs from its type, and its history.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 use diagnoser::unit::{TestEntry, UnitFile};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -16,7 +14,7 @@ struct Recordings {
 impl Recordings {
     fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
-        let reference = include_str!("../../datasets/parameters/reference.toml");
+        let reference = include_str!("../../../datasets/parameters/reference.toml");
         let swapped = |from: &str, to: &str, text: &str| {
             let at = text.find(&format!("\n{from} ")).unwrap_or_else(|| panic!("{from}")) + 1;
             let end = at + text[at..].find('\n').unwrap();

@@ -1,8 +1,6 @@
 //! `ema maps --quality`, `ema calibrate` and what they do to `ema diagnose`, as processes.
 
-mod common;
-
-use common::process::*;
+use crate::common::process::*;
 use serde_json::Value;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};

@@ -1,7 +1,5 @@
 //! One recording in the dialects in which people keep tables: read with the same diagnosis, or refused with its cause.
-mod common;
-
-use common::process::{ema, json, ok, refused, succeeded, text};
+use crate::common::process::{ema, json, ok, refused, succeeded, text};
 use serde_json::Value;
 use std::path::Path;
 

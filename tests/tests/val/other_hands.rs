@@ -1,9 +1,7 @@
 //! The study on rigs and actuators that nobody here simulated: generators of other hands, and the samples of the
 //! reference folder.
 
-mod common;
-
-use common::process::run;
+use crate::common::process::run;
 use ema_tests::independent;
 use ema_tests::second::{self, Class};
 use pipeline::Findings;
@@ -186,7 +184,7 @@ fn val_a_sensor_a_delay_and_a_play_of_another_hand_are_found_as_they_are() {
 #[test]
 fn val_a_gain_of_one_sensor_and_a_supply_are_found_from_any_rest_angle() {
     let dir = tempfile::tempdir().unwrap();
-    let reference = include_str!("../../datasets/parameters/reference.toml");
+    let reference = include_str!("../../../datasets/parameters/reference.toml");
     let supply = "voltage_v = { value = 48.0";
     assert!(reference.contains(supply));
     let unit = dir.path().join("unit.toml");
