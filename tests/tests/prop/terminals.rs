@@ -12,12 +12,19 @@ use std::path::{Path, PathBuf};
 const MOTOR: [f64; 6] = [0.1, 4.0, 0.008, 3e-4, 4e-4, 0.02];
 const RATE_HZ: f64 = 2000.0;
 
+/// What the bench file does not say.
+#[derive(Clone, Copy, Default)]
+struct Hidden {
+    /// amplitude of order 6 [N m]
+    cogging: f64,
+    /// stiffness [N m/rad] and damping [N m s/rad] of bristles in place of the dry friction
+    bristles: Option<[f64; 2]>,
+}
+
 /// Twelve seconds under three sines of voltage, held over a sample; noise on current and speed, counts of the angle.
-///
-/// * `cogging` amplitude of order 6 [N m]
-fn recording(run: u64, cogging: f64) -> String {
+fn recording(run: u64, hidden: Hidden) -> String {
     let [kt, r, l, j, c, f] = MOTOR;
-    let (mut i, mut w, mut x) = (0.0f64, 0.0f64, 0.0f64);
+    let (mut i, mut w, mut x, mut z) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
     let mut rng = ChaCha8Rng::seed_from_u64(77 + run);
     let mut drawn = || rng.random_range(-1.0..1.0);
     let mut text = String::from("t,theta,omega,i,u\n");
@@ -30,12 +37,16 @@ fn recording(run: u64, cogging: f64) -> String {
         let mut mean = 0.0;
         for _ in 0..PARTS {
             i += h / l * (u - kt * w - r * i);
-            let free = w + h / j * (kt * i - c * w - cogging * (6.0 * x).cos());
+            let free = w + h / j * (kt * i - c * w - hidden.cogging * (6.0 * x).cos());
             let stop = h / j * f;
-            w = if free.abs() <= stop {
-                0.0
-            } else {
-                free - stop * free.signum()
+            w = match hidden.bristles {
+                Some([stiffness, damping]) => {
+                    let rate = w - stiffness / f * w.abs() * z;
+                    z += h * rate;
+                    free - h / j * (stiffness * z + damping * rate)
+                }
+                None if free.abs() <= stop => 0.0,
+                None => free - stop * free.signum(),
             };
             x += h * w;
             mean += i / PARTS as f64;
@@ -50,7 +61,7 @@ fn recording(run: u64, cogging: f64) -> String {
 }
 
 /// A bench of three such recordings, two to fit and one held out.
-fn bench(dir: &Path, cogging: f64, with_current: bool, rig: &str) -> PathBuf {
+fn bench(dir: &Path, hidden: Hidden, with_current: bool, rig: &str) -> PathBuf {
     let mut text = format!(
         "[rig]\nkind = \"rotary\"\ndrive = \"voltage\"\n{rig}\n[channels]\n\
          time = {{ column = \"t\", unit = \"s\" }}\n\
@@ -62,7 +73,7 @@ fn bench(dir: &Path, cogging: f64, with_current: bool, rig: &str) -> PathBuf {
         text += "current = { column = \"i\", unit = \"A\", sampling = \"mean\" }\n";
     }
     for (run, role) in ["fit", "fit", "heldout"].iter().enumerate() {
-        std::fs::write(dir.join(format!("{run}.csv")), recording(run as u64, cogging)).unwrap();
+        std::fs::write(dir.join(format!("{run}.csv")), recording(run as u64, hidden)).unwrap();
         text += &format!("[[run]]\nfile = \"{run}.csv\"\nrole = \"{role}\"\nhealth = \"healthy\"\n");
     }
     let file = dir.join("BENCH.toml");
@@ -92,7 +103,7 @@ fn names(f: &Findings) -> Vec<&str> {
 fn prop_a_motor_at_its_terminals_is_plain_with_and_without_its_current() {
     for with_current in [true, false] {
         let dir = tempfile::tempdir().unwrap();
-        let file = bench(dir.path(), 0.0, with_current, SAID);
+        let file = bench(dir.path(), Hidden::default(), with_current, SAID);
         let out = dir.path().join("study");
         let w = study_into(&request(&file), &out, &|_| {}).unwrap();
         let f = &w.findings;
@@ -143,10 +154,44 @@ fn prop_a_motor_at_its_terminals_is_plain_with_and_without_its_current() {
 fn prop_what_hides_in_a_motor_at_its_terminals_is_named() {
     for with_current in [true, false] {
         let dir = tempfile::tempdir().unwrap();
-        let f = study_file(&request(&bench(dir.path(), 0.004, with_current, SAID)), &|_| {}).unwrap();
+        let cogging = Hidden {
+            cogging: 0.004,
+            ..Hidden::default()
+        };
+        let f = study_file(&request(&bench(dir.path(), cogging, with_current, SAID)), &|_| {}).unwrap();
         assert_eq!(names(&f), ["cogging"], "{with_current}: {}", f.sentence);
         let amplitude = &f.effects[0].parameters[0];
         assert!((amplitude.value / 0.004 - 1.0).abs() < 0.1, "{amplitude:?}");
+    }
+}
+
+#[test]
+fn prop_beside_bristles_the_scale_of_torques_is_what_the_back_emf_says() {
+    let dir = tempfile::tempdir().unwrap();
+    let [kt, _, _, j, c, coulomb] = MOTOR;
+    let bristles = [0.1, 2e-3];
+    let hidden = Hidden {
+        bristles: Some(bristles),
+        ..Hidden::default()
+    };
+    let f = study_file(&request(&bench(dir.path(), hidden, true, SAID)), &|_| {}).unwrap();
+    assert_eq!(names(&f), ["presliding"], "{}", f.sentence);
+    let constant = |name: &str| f.retuned.iter().find(|r| r.name == name).unwrap();
+    let of_machine = [
+        ("torque_constant", kt),
+        ("inertia", j),
+        ("viscous", c),
+        ("coulomb", coulomb),
+    ];
+    let of_effect = f.effects[0].parameters.iter().zip(bristles);
+    let told = of_machine.map(|(name, truth)| (constant(name), truth));
+    for (found, truth) in told.into_iter().chain(of_effect) {
+        let half = 0.5 * (found.hi - found.lo);
+        println!("{}: {} of {truth}, within {half}", found.name, found.value);
+        assert!((found.value - truth).abs() < 1.5 * half, "{found:?}, {truth}");
+        assert!((found.value / truth - 1.0).abs() < 0.02, "{found:?}, {truth}");
+        // the sensors' gains are not known, and with them the scale of everything
+        assert!(half > 0.004 * truth, "{found:?}");
     }
 }
 
@@ -158,10 +203,10 @@ fn prop_a_winding_without_a_resistance_is_refused() {
         .filter(|l| !l.starts_with("resistance"))
         .collect::<Vec<_>>()
         .join("\n");
-    let file = bench(dir.path(), 0.0, false, &without);
+    let file = bench(dir.path(), Hidden::default(), false, &without);
     let e = Bench::read(&file, None).unwrap_err().to_string();
     assert!(e.contains("resistance") && e.contains("a channel `current`"), "{e}");
     // with the current nobody needs it
-    let file = bench(dir.path(), 0.0, true, &without);
+    let file = bench(dir.path(), Hidden::default(), true, &without);
     assert!(Bench::read(&file, None).unwrap().rig.winding.is_none());
 }

@@ -47,6 +47,8 @@ pub struct Problem {
     pub base: Vec<Vec<f64>>,
     /// which of them is dry friction's
     pub dry_friction: Option<usize>,
+    /// and which is the inertia's, where the motion changes
+    pub inertia: Option<usize>,
     /// columns of single runs: offsets of position and phase currents, mains hum; what each is believed to be at most,
     /// one sigma in its own unit
     pub local: Vec<Vec<f64>>,
@@ -203,6 +205,7 @@ impl Problem {
             drive: vec![0.0; rows],
             base: Vec::new(),
             dry_friction: None,
+            inertia: None,
             local: Vec::new(),
             local_trust: Vec::new(),
             floor,

@@ -160,7 +160,9 @@ pub fn assembled<'a>(p: &'a Problem, c: &RigConstants, terms: &[Term], regs: &'a
     }
 }
 
-/// Columns of the constants beside effects: with bristles in place of dry friction, more of it is more of theirs.
+/// Columns of the constants beside effects: with bristles in place of dry friction, more of it is more of theirs, and the torque
+/// that is left for the inertia is less by theirs. Then torques and inertia that are all as much greater stay the same motion, and
+/// their scale is what the machine's constants say, not what stands between two ways of turning round.
 pub fn base<'a>(p: &'a Problem, c: &RigConstants, terms: &[Term], regs: &[Regressor]) -> Vec<Cow<'a, Vec<f64>>> {
     let mut base: Vec<_> = p.base.iter().map(Cow::Borrowed).collect();
     let bristles = terms.iter().position(|t| t.kind == EffectKind::Presliding);
@@ -169,11 +171,18 @@ pub fn base<'a>(p: &'a Problem, c: &RigConstants, terms: &[Term], regs: &[Regres
         let friction = c.effect.coulomb;
         if friction > 0.0 {
             let by = wide(friction) / friction;
-            let column = base[at].to_mut();
-            column.iter_mut().zip(instead).for_each(|(b, f)| *b += by * f);
+            add(base[at].to_mut(), by, instead);
+        }
+        if let Some(at) = p.inertia {
+            add(base[at].to_mut(), -1.0, instead);
         }
     }
     base
+}
+
+/// Adds a column, times a factor.
+pub fn add(to: &mut [f64], factor: f64, column: &[f64]) {
+    to.iter_mut().zip(column).for_each(|(t, c)| *t += factor * c);
 }
 
 /// Solves for nuisance parameters and amplitudes of terms whose shapes are given; the standard

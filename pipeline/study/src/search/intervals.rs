@@ -11,7 +11,7 @@ use crate::search::fit::{self, Fit, Term};
 use crate::search::select::Material;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
-use sim_worker::effect::{Effect, EffectKind, NORMAL_95};
+use sim_worker::effect::{Effect, EffectKind, Equation, NORMAL_95};
 use std::borrow::Cow;
 
 /// Length of a block [s] (assumed: longer than any memory of residuals seen).
@@ -41,6 +41,17 @@ fn jacobian(m: &Material, p: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     let regs = fit::regressors(p, &fit.terms, &m.constants);
     let base = fit::base(p, &m.constants, &fit.terms, &regs);
     let mut j: Vec<Vec<f64>> = base.into_iter().map(Cow::into_owned).collect();
+    // torques of effects are among those that accelerate: all of them scale together
+    if let Some(inertia) = p.inertia {
+        for (t, r) in fit.terms.iter().zip(&regs).filter(|(t, _)| is_torque(t.kind, 0)) {
+            for (a, c) in t.amplitudes.iter().zip(&r.linear) {
+                let moving = [Equation::Torque, Equation::Kinematic].map(|e| p.blocks_of(e));
+                for rows in moving.into_iter().flatten().map(|b| b.rows.clone()) {
+                    fit::add(&mut j[inertia][rows.clone()], -a, &c[rows]);
+                }
+            }
+        }
+    }
     for r in &regs {
         j.extend(r.linear.iter().cloned());
     }
@@ -276,7 +287,7 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
     let amplitudes_at = m.nuisances.len();
     let shapes_at = amplitudes_at + fit.terms.iter().map(|t| t.amplitudes.len()).sum::<usize>();
     let place = |name: &str| m.nuisances.iter().position(|n| n.name == name);
-    let (kt, inertia) = (place("torque_constant"), place("inertia"));
+    let (friction, inertia) = (place("coulomb"), place("inertia"));
     let (mut terms, mut term_correlation) = (Vec::new(), Vec::new());
     let mut first = amplitudes_at;
     for (t, term) in fit.terms.iter().enumerate() {
@@ -293,6 +304,9 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
         let middle = value(term);
         let keys = term.kind.keys().len();
         let slopes_of = |key: usize| -> Vec<(usize, f64)> {
+            // stiffness is the dry friction over a distance
+            let share = friction.filter(|_| term.kind == EffectKind::Presliding && key == 0);
+            let of_friction = share.map(|i| (i, middle.values[key]));
             vary.iter()
                 .map(|(i, change, d)| {
                     let (mut up, mut down) = (term.clone(), term.clone());
@@ -305,6 +319,7 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
                     }
                     (*i, difference / (2.0 * d))
                 })
+                .chain(of_friction)
                 .collect()
         };
         let slopes: Vec<_> = (0..keys).map(slopes_of).collect();
@@ -312,14 +327,9 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
             let each = slopes[a].iter().flat_map(|x| slopes[b].iter().map(move |y| (x, y)));
             each.map(|((i, x), (k, y))| x * y * cov(*i, *k)).sum()
         };
-        // what is in units of torque is as uncertain as the torque constant, a load on its spring as the inertia that it is a share of
-        let of_constant = |key: usize| -> f64 {
-            let constant = match term.kind {
-                EffectKind::Compliance if inertia.is_some() => inertia,
-                kind => kt.filter(|_| is_torque(kind, key)),
-            };
-            constant.map_or(0.0, |c| middle.values[key] * sd(c))
-        };
+        // a load on its spring is as uncertain as the inertia that it is a share of
+        let whole = inertia.filter(|_| term.kind == EffectKind::Compliance);
+        let of_constant = |key: usize| whole.map_or(0.0, |c| middle.values[key] * sd(c));
         let covariance = |a: usize, b: usize| shared(a, b) + of_constant(a) * of_constant(b);
         let deviation = |key: usize| covariance(key, key).max(0.0).sqrt();
         let half = (0..keys).map(|key| NORMAL_95 * deviation(key)).collect();

@@ -204,6 +204,7 @@ impl Problem {
         self.drive = drive;
         self.base = base;
         self.dry_friction = place("coulomb");
+        self.inertia = place("inertia").filter(|_| !self.clock.steady);
         for rows in offsets {
             let mut c = vec![0.0; self.rows];
             c[rows].fill(1.0);
