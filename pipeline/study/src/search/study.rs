@@ -255,6 +255,8 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
     let mut steps: Vec<Step> = Vec::new();
     let mut ambiguous: Vec<(EffectKind, Vec<EffectKind>)> = Vec::new();
+    // what one step adds and the next takes out again is not looked for once more
+    let mut before: Vec<Vec<EffectKind>> = vec![kinds(&model)];
     while model.terms.len() < MOST_EFFECTS {
         tell(&format!("looking for effect {}", model.terms.len() + 1));
         if within_noise(&m, &model) {
@@ -286,6 +288,10 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         }
         (m, model) = m.needed_delays(model);
         model = needed(&m, m.at_ease(model));
+        if before.contains(&kinds(&model)) {
+            break;
+        }
+        before.push(kinds(&model));
     }
     // an amplitude of the wrong sign, or one that may as well be nothing, is no effect
     while let Some(wrong) = model
@@ -383,6 +389,13 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         source: None,
         by_loop: Vec::new(),
     }
+}
+
+/// Kinds of a model's effects, in the order of the list.
+fn kinds(model: &Fit) -> Vec<EffectKind> {
+    let mut all: Vec<EffectKind> = model.terms.iter().map(|t| t.kind).collect();
+    all.sort_by_key(|k| EffectKind::ALL.iter().position(|a| a == k));
+    all
 }
 
 /// A model whose resistance and inertia are no longer held at the end of their belief, where one cause explains all constants.

@@ -13,7 +13,7 @@ use crate::search::trial::{CLEAR, Columns, MOST, Side, Trial, torque_column};
 use crate::search::verdict::{BEYOND, WORTH};
 use sim_worker::effect::{EffectKind, Equation};
 use std::collections::BTreeMap;
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Share of what is left that a law takes from which it is there, on the runs that find and on those that prove (assumed: rigs of
 /// another hand in which nothing is hidden left up to 0.07).
@@ -48,6 +48,10 @@ const LEAST_NEIGHBOURS: usize = 8;
 const OF_DRIVE: f64 = 0.1;
 /// Pieces of the travel in which a constant is one.
 const PLACES: usize = 8;
+/// Periods over the travel from which what repeats is no smooth curve of the place, and degree of such a curve (assumed: a spring and a
+/// cogging have as many parameters).
+const FEW_PERIODS: f64 = 3.0;
+const DEGREE: i32 = 5;
 /// Orders of the turn with which an inertia may go.
 const ORDERS: [f64; 2] = [1.0, 2.0];
 
@@ -109,6 +113,8 @@ pub enum Law {
     OfPlace,
     /// an inertia that goes with the turn
     OfTurn,
+    /// a torque that is a smooth curve of the place
+    Curve,
     /// a torque of one frequency, whatever the motion [Hz]
     Tone(f64),
 }
@@ -121,6 +127,7 @@ impl Law {
             Self::WithTime(c) => format!("the {} moves with the time of a run", c.name()),
             Self::OfPlace => "the viscous friction is another one at other places".to_string(),
             Self::OfTurn => "the inertia goes with the angle within a turn".to_string(),
+            Self::Curve => "the torque is a smooth curve of the place, and not seen to repeat".to_string(),
             Self::Tone(hz) => format!("a torque of {hz:.2} Hz keeps its own time, whatever the motion"),
         }
     }
@@ -267,7 +274,7 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
         return None;
     }
     let beside = !model.terms.is_empty();
-    if let Some(instead) = (0..model.terms.len()).find_map(|t| instead(trial, t)) {
+    if let Some(instead) = (0..model.terms.len()).find_map(|t| instead(trial, t).or_else(|| smooth(trial, t))) {
         return Some(instead);
     }
     // what is within the noise may keep a time of its own, or have whatever form a noise has
@@ -315,6 +322,35 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
     all.max_by(|a, b| a.of_left.total_cmp(&b.of_left))
 }
 
+/// Columns of a torque that is a smooth curve of the place.
+///
+/// * `travel` from where to where [rad]
+fn curved(p: &Problem, (low, high): (f64, f64)) -> Vec<Vec<f64>> {
+    let place = |s: &Signals, k: usize| (2.0 * s.theta[k] - low - high) / (high - low);
+    let of = |n: i32| torque_column(p, |s, k| place(s, k).powi(n));
+    (1..=DEGREE).map(of).collect()
+}
+
+/// A smooth curve that leaves less than a cogging that is hardly seen to repeat does, with a spring beside it where there is one.
+fn smooth(trial: &Trial, term: usize) -> Option<Unlisted> {
+    let (m, model) = (trial.m, trial.model);
+    let (low, high) = m.fit.travel();
+    let cogging = &model.terms[term];
+    if cogging.kind != EffectKind::Cogging || cogging.shape[0] * (high - low) > FEW_PERIODS * TAU {
+        return None;
+    }
+    let mut less = m.without(model, term);
+    if let Some(spring) = less.terms.iter().position(|t| t.kind == EffectKind::SpringLoad) {
+        less = m.without(&less, spring);
+    }
+    let (left_of, trial) = (trial.left(), trial.of(&less));
+    let (all, rest) = (trial.left(), trial.left_with(&|p| curved(p, (low, high)))?);
+    (rest < left_of).then(|| Unlisted {
+        law: Law::Curve,
+        of_left: (all - rest) / all,
+    })
+}
+
 /// A law that leaves less than one of the effects does, in its place.
 fn instead(trial: &Trial, term: usize) -> Option<Unlisted> {
     let (m, left_of) = (trial.m, trial.left());
@@ -349,7 +385,6 @@ mod tests {
     use crate::search::form::Strange;
     use crate::search::study::{Outcome, study};
     use crate::search::verdict::Verdict;
-    use std::f64::consts::TAU;
 
     fn studied(besides: impl Fn(usize, [f64; 5]) -> f64) -> Outcome {
         let (bench, runs) = rig(besides);
@@ -369,6 +404,17 @@ mod tests {
     fn nothing_is_missing_where_nothing_is() {
         let o = studied(|_, _| 0.0);
         assert!(matches!(o.verdict, Verdict::None | Verdict::Retune), "{:?}", o.verdict);
+    }
+
+    #[test]
+    fn a_curve_of_the_place_is_no_spring_beside_a_cogging() {
+        let cable = studied(|_, [_, x, ..]| 0.01 * x.powi(3));
+        println!("{:?} {:?}", law(&cable), cable.strange);
+        // of magnets under a slide two and a half periods are seen
+        let magnets = studied(|_, [_, x, ..]| 0.05 * x + 0.08 * (3.0 * x).sin());
+        let mut names: Vec<_> = magnets.model.terms.iter().map(|t| t.kind.name()).collect();
+        names.sort_unstable();
+        assert_eq!((names, magnets.strange), (vec!["cogging", "spring_load"], None));
     }
 
     #[test]
