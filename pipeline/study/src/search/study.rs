@@ -44,6 +44,8 @@ const VAGUE_SPRING: f64 = 0.4;
 const NOTHING: f64 = 1.0;
 /// Gain of an effect that is there though its interval is wide.
 const CERTAIN: f64 = 60.0;
+/// Share of the dry friction that a friction of the speed has at least beside bristles (assumed).
+const LEAST_BESIDE_BRISTLES: f64 = 0.02;
 /// Energy of the voltage over that of the noise up to which nothing else is in it (assumed).
 const QUIET: f64 = 1.35;
 /// Candidates that a second one is tried with.
@@ -488,6 +490,7 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
     let all = intervals::intervals(m, model);
     let static_too = |t: &Term| t.kind == EffectKind::Presliding && breaks_away(&t.shape);
     let static_too = model.terms.iter().any(static_too);
+    let bristles = model.terms.iter().any(|t| t.kind == EffectKind::Presliding);
     (0..model.terms.len()).rev().find(|&t| {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
@@ -502,9 +505,12 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
         if half > most {
             half = intervals::intervals_by_law(m, model, Some(t)).terms[t][0] / size;
         }
+        // how bristles turn round between two samples is known no better
+        let of_speed = matches!(e.kind, EffectKind::LubricatedRise | EffectKind::Stribeck);
+        let turning = bristles && of_speed && size < LEAST_BESIDE_BRISTLES * m.constants.effect.coulomb;
         // a spring that only the torque shows is there if it is known how stiff it is
         let unseen = e.kind == EffectKind::Compliance && m.fit.on_time() && !m.fit.sees_user();
-        linear && (half > NOTHING || half > most && !needed()) || unseen && half > VAGUE_SPRING
+        turning || linear && (half > NOTHING || half > most && !needed()) || unseen && half > VAGUE_SPRING
     })
 }
 
