@@ -6,6 +6,7 @@ use crate::equations::signals::Signals;
 use crate::measured::recording::extent;
 use crate::search::fit::{Fit, Term};
 use crate::search::remainder::{Regressor, edges};
+use crate::search::study::MOST_EFFECTS;
 use crate::search::trial::{CLEAR, MOST, Trial, torque_column};
 use crate::search::unlisted::Unlisted;
 use crate::search::verdict::BEYOND;
@@ -28,7 +29,7 @@ pub enum Strange {
     },
     /// a law of a constant or of the time
     Unlisted(Unlisted),
-    /// several effects stand for one law: of the same order of the rotor's turn, or frictions of the place
+    /// several effects stand for one law: of the same order of the rotor's turn, of the place, or of orders without an end
     Composed,
 }
 
@@ -107,11 +108,14 @@ const SAME_ORDER: f64 = 0.02;
 const COMPOSED: usize = 3;
 
 fn composed(terms: &[Term]) -> bool {
-    let of_place = |t: &&Term| matches!(t.kind, EffectKind::PeriodicFriction | EffectKind::TightSpot);
+    let of_kind = |kind: EffectKind| terms.iter().filter(|t| t.kind == kind).count();
+    let frictions = of_kind(EffectKind::PeriodicFriction) + of_kind(EffectKind::TightSpot);
+    // magnets are one law, however many orders they have
+    let of_place = frictions + of_kind(EffectKind::SpringLoad) + of_kind(EffectKind::Cogging).min(1);
     let of_order = terms.iter().filter(|t| has_order(t.kind));
     let orders: Vec<f64> = of_order.map(|t| t.shape[0]).collect();
     let alike = |a: f64| orders.iter().filter(|b| (a - **b).abs() < SAME_ORDER * a).count();
-    orders.iter().any(|a| alike(*a) >= COMPOSED) || terms.iter().filter(of_place).count() >= COMPOSED
+    orders.iter().any(|a| alike(*a) >= COMPOSED) || of_place >= COMPOSED || orders.len() == MOST_EFFECTS
 }
 
 #[cfg(test)]
@@ -157,6 +161,14 @@ mod tests {
             (PeriodicFriction, 0.4),
             (TightSpot, 9.0)
         ])));
+        assert!(composed(&terms(&[(TightSpot, 1.0), (SpringLoad, 0.0), (Cogging, 0.7)])));
+        // a saw and a row of teeth have as many orders as are looked for
+        assert!(composed(&terms(&[
+            (Cogging, 2.0),
+            (Cogging, 4.0),
+            (Cogging, 6.0),
+            (Cogging, 8.0)
+        ])));
         // magnets have several orders, and an offset of a current makes a cogging of its ripple
         assert!(!composed(&terms(&[(Cogging, 6.0), (Cogging, 12.0), (Cogging, 18.0)])));
         assert!(!composed(&terms(&[
@@ -164,6 +176,7 @@ mod tests {
             (TorqueRipple, 4.0),
             (TightSpot, 4.0)
         ])));
+        assert!(!composed(&terms(&[(Cogging, 4.0), (Cogging, 8.0), (SpringLoad, 0.0)])));
         assert!(!composed(&[]));
     }
 }

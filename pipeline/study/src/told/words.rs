@@ -47,7 +47,7 @@ fn strange(s: Strange) -> String {
             100.0 * share
         ),
         Strange::Unlisted(u) => format!("; {}: {:.0} % of what is left", u.law.told(), 100.0 * u.of_left),
-        Strange::Composed => "; it takes three effects of the rotor's angle or the place to follow it".to_string(),
+        Strange::Composed => "; it takes several effects of the rotor's angle or the place to follow it".to_string(),
     }
 }
 
