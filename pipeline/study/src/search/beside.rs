@@ -76,7 +76,7 @@ fn runs<'a>(m: &'a Material, p: &'a Problem, held: bool) -> Vec<(&'a Run, &'a Si
 ///
 /// * `first` the nuisance parameters around the model's own constants
 pub fn beside(m: &Material, model: &Fit, first: &[Nuisance]) -> (Vec<Beside>, bool) {
-    let apart = |b: &Beside| !model.terms.iter().any(|t| t.kind == b.kind);
+    let apart = |b: &Beside| !model.has(b.kind);
     let phases = m.bench.has_phases();
     if !phases && m.equations.contains(&Equation::Electrical) {
         return (together(m, model, first).into_iter().filter(apart).collect(), false);

@@ -118,6 +118,13 @@ pub struct Fit {
     pub sigma: [f64; 5],
 }
 
+impl Fit {
+    /// Whether an effect is in it.
+    pub fn has(&self, kind: EffectKind) -> bool {
+        self.terms.iter().any(|t| t.kind == kind)
+    }
+}
+
 /// A nuisance parameter by its name, and its relative deviation in a fit.
 pub fn deviation<'a>(nuisances: &'a [Nuisance], fit: &Fit, name: &str) -> Option<(&'a Nuisance, f64)> {
     let mut all = nuisances.iter().zip(&fit.nuisance);

@@ -298,7 +298,7 @@ fn slight(m: &Material, term: &Term, share: f64) -> bool {
 
 /// Whether a new torque repeats with the commutation of three phases beside a dead time, and is small.
 fn commutated(m: &Material, model: &Fit, next: &Fit) -> bool {
-    if !m.bench.has_phases() || !next.terms.iter().any(|t| t.kind == EffectKind::DeadTime) {
+    if !m.bench.has_phases() || !next.has(EffectKind::DeadTime) {
         return false;
     }
     let with_it = |t: &&Term| {

@@ -264,9 +264,7 @@ impl Material {
         let of = |n: &[Nuisance]| Scan::new(&self.fit, &self.constants, n, &fitted, model.sigma);
         let scan = of(&nuisances).with_orders();
         let silent = excitation::not_excited(self);
-        let open = |k: &EffectKind| {
-            !silent.iter().any(|s| s.0 == k.name()) && (takes_several(*k) || !model.terms.iter().any(|t| t.kind == *k))
-        };
+        let open = |k: &EffectKind| !silent.iter().any(|s| s.0 == k.name()) && (takes_several(*k) || !model.has(*k));
         let kinds: Vec<EffectKind> = kinds.iter().copied().filter(open).collect();
         // a load on its spring, beside an inertia that may be anything
         let spring = kinds.contains(&EffectKind::Compliance);

@@ -25,7 +25,7 @@ const STILL_MOVES: f64 = 2e-3;
 
 /// Whether what bristles are in place of is the dry friction that the equations have.
 fn settled(m: &Material, model: &Fit) -> bool {
-    let bristles = model.terms.iter().any(|t| t.kind == EffectKind::Presliding);
+    let bristles = model.has(EffectKind::Presliding);
     let moved = m.fit.dry_friction.map_or(0.0, |i| model.nuisance[i].abs());
     !bristles || moved < STILL_MOVES
 }
@@ -334,7 +334,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         model = without;
         (beside, stranger) = again;
     }
-    ambiguous.retain(|(k, _)| model.terms.iter().any(|t| t.kind == *k));
+    ambiguous.retain(|(k, _)| model.has(*k));
     // one filter and one set of rows for all three
     let retuned = m.solve(&[], m.first_sigma());
     let nominal = untouched(&m, &first_nuisances);
@@ -396,7 +396,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
 /// Kinds of a model's effects, in the order of the list.
 fn kinds(model: &Fit) -> Vec<EffectKind> {
     let mut all: Vec<EffectKind> = model.terms.iter().map(|t| t.kind).collect();
-    all.sort_by_key(|k| EffectKind::ALL.iter().position(|a| a == k));
+    all.sort_unstable();
     all
 }
 
@@ -490,7 +490,7 @@ fn vague(m: &Material, model: &Fit) -> Option<usize> {
     let all = intervals::intervals(m, model);
     let static_too = |t: &Term| t.kind == EffectKind::Presliding && breaks_away(&t.shape);
     let static_too = model.terms.iter().any(static_too);
-    let bristles = model.terms.iter().any(|t| t.kind == EffectKind::Presliding);
+    let bristles = model.has(EffectKind::Presliding);
     (0..model.terms.len()).rev().find(|&t| {
         let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
         let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);

@@ -409,7 +409,7 @@ mod tests {
     #[test]
     fn a_curve_of_the_place_is_no_spring_beside_a_cogging() {
         let cable = studied(|_, [_, x, ..]| 0.01 * x.powi(3));
-        println!("{:?} {:?}", law(&cable), cable.strange);
+        assert_eq!(law(&cable), Some(Law::Curve), "{:?}", cable.strange);
         // of magnets under a slide two and a half periods are seen
         let magnets = studied(|_, [_, x, ..]| 0.05 * x + 0.08 * (3.0 * x).sin());
         let mut names: Vec<_> = magnets.model.terms.iter().map(|t| t.kind.name()).collect();
