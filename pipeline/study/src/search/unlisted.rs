@@ -32,8 +32,9 @@ const INSTEAD: f64 = 0.97;
 const RINGS: f64 = 0.5;
 /// Time over which a constant is one [s] (assumed).
 const WHILE_S: f64 = 0.25;
-/// Whiles on either side that say what it is.
+/// Whiles on either side that say what it is, and the least energy that such a one has, over what is usual (assumed).
 const NEAR: usize = 2;
+const TELLS: f64 = 0.1;
 /// How far from what it is for all time a constant is believed to go (assumed).
 const BELIEF: f64 = 0.3;
 /// Frequencies of a torque that keeps its own time [Hz] (assumed): below, a friction does; above, a converter.
@@ -164,7 +165,7 @@ impl<'a> Left<'a> {
     }
 }
 
-/// Energy that a constant takes from the rows which is learnt from the neighbouring times, each while from the others, beyond what the same
+/// Energy that a constant takes from the rows which is learnt from the neighbouring times that tell it, each while from the others, beyond what the same
 /// takes that is learnt from all other times.
 fn taken_in_time(side: &Left, column: &[f64], trust: f64) -> f64 {
     let rate = side.p.clock.rate_hz;
@@ -178,8 +179,16 @@ fn taken_in_time(side: &Left, column: &[f64], trust: f64) -> f64 {
         let add = |a: (f64, f64), s: &(f64, f64)| (a.0 + s.0, a.1 + s.1);
         let all = whiles.values().fold((0.0, 0.0), add);
         let (mut near, mut whole) = (0.0, 0.0);
+        // an inertia is heard when the speed changes: what lies between says nothing of it
+        let usual = all.0 / whiles.len().max(1) as f64;
+        let tells: BTreeMap<usize, (f64, f64)> = whiles
+            .iter()
+            .filter(|w| w.1.0 > TELLS * usual)
+            .map(|w| (*w.0, *w.1))
+            .collect();
         for (i, s) in &whiles {
-            let around = whiles.range(i.saturating_sub(NEAR)..=i + NEAR).filter(|n| n.0 != i);
+            let before = tells.range(..*i).rev().take(NEAR);
+            let around = before.chain(tells.range(i + 1..).take(NEAR));
             let learnt = around.map(|n| n.1).fold((0.0, 0.0), add);
             let of = |(xx, xy): (f64, f64)| {
                 let x = xy / (xx + trust);
