@@ -13,6 +13,11 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     rest + sum.iter().sum::<f64>()
 }
 
+/// Adds a column, times a factor.
+pub fn add(to: &mut [f64], factor: f64, column: &[f64]) {
+    to.iter_mut().zip(column).for_each(|(t, c)| *t += factor * c);
+}
+
 /// One part of an estimate: the least-squares sums of a run or a piece.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sums {

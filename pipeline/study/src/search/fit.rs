@@ -4,7 +4,7 @@ use crate::candidates::columns;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::{RigConstants, wide};
 use crate::equations::problem::Problem;
-use crate::measured::sums::dot;
+use crate::measured::sums::{add, dot};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
@@ -102,6 +102,9 @@ pub fn log_likelihood(p: &Problem, energy: &[f64; 5], count: &[f64; 5], prior: f
     ll
 }
 
+/// Most effects that one study adds.
+pub const MOST_EFFECTS: usize = 4;
+
 /// A fitted model.
 #[derive(Clone, Debug)]
 pub struct Fit {
@@ -122,6 +125,13 @@ impl Fit {
     /// Whether an effect is in it.
     pub fn has(&self, kind: EffectKind) -> bool {
         self.terms.iter().any(|t| t.kind == kind)
+    }
+
+    /// Kinds of its effects, in the order of the list.
+    pub fn kinds(&self) -> Vec<EffectKind> {
+        let mut all: Vec<EffectKind> = self.terms.iter().map(|t| t.kind).collect();
+        all.sort_unstable();
+        all
     }
 }
 
@@ -158,7 +168,7 @@ pub struct Assembled<'a> {
 pub fn assembled<'a>(p: &'a Problem, c: &RigConstants, terms: &[Term], regs: &'a [Regressor]) -> Assembled<'a> {
     let mut y = p.y.clone();
     for f in regs.iter().filter_map(|r| r.fixed.as_ref()) {
-        y.iter_mut().zip(f).for_each(|(y, f)| *y -= f);
+        add(&mut y, -1.0, f);
     }
     Assembled {
         y,
@@ -185,11 +195,6 @@ pub fn base<'a>(p: &'a Problem, c: &RigConstants, terms: &[Term], regs: &[Regres
         }
     }
     base
-}
-
-/// Adds a column, times a factor.
-pub fn add(to: &mut [f64], factor: f64, column: &[f64]) {
-    to.iter_mut().zip(column).for_each(|(t, c)| *t += factor * c);
 }
 
 /// Solves for nuisance parameters and amplitudes of terms whose shapes are given; the standard
@@ -443,7 +448,7 @@ fn weighted(
     let x: Vec<f64> = (0..n).map(|i| x[i] / norms[i]).collect();
     let mut residual = y.to_vec();
     for (x, c) in x.iter().zip(columns) {
-        residual.iter_mut().zip(c.iter()).for_each(|(r, c)| *r -= x * c);
+        add(&mut residual, -x, c);
     }
     (x, residual)
 }
@@ -516,7 +521,7 @@ pub fn predicted(p: &Problem, c: &RigConstants, fit: &Fit) -> Vec<f64> {
     let amplitudes = fit.terms.iter().flat_map(|t| &t.amplitudes);
     let base = base.iter().map(AsRef::as_ref);
     for (x, col) in fit.nuisance.iter().zip(base).chain(amplitudes.zip(further)) {
-        r.iter_mut().zip(col.iter()).for_each(|(r, c)| *r -= x * c);
+        add(&mut r, -x, col);
     }
     without_local(p, r, &fit.sigma)
 }

@@ -6,7 +6,7 @@ use crate::candidates::columns;
 use crate::candidates::laws;
 use crate::candidates::shapes;
 use crate::equations::problem::Problem;
-use crate::measured::sums::dot;
+use crate::measured::sums::{add, dot};
 use crate::search::fit::{self, Fit, Term};
 use crate::search::select::Material;
 use nalgebra::{DMatrix, DVector};
@@ -46,12 +46,10 @@ fn jacobian(m: &Material, p: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     let mut j: Vec<Vec<f64>> = base.into_iter().map(Cow::into_owned).collect();
     // torques of effects are among those that accelerate: all of them scale together
     if let Some(inertia) = p.inertia {
-        for (t, r) in fit.terms.iter().zip(&regs).filter(|(t, _)| is_torque(t.kind, 0)) {
-            for (a, c) in t.amplitudes.iter().zip(&r.linear) {
-                let moving = [Equation::Torque, Equation::Kinematic].map(|e| p.blocks_of(e));
-                for rows in moving.into_iter().flatten().map(|b| b.rows.clone()) {
-                    fit::add(&mut j[inertia][rows.clone()], -a, &c[rows]);
-                }
+        let torques = fit.terms.iter().zip(&regs).filter(|(t, _)| is_torque(t.kind, 0));
+        for (a, c) in torques.flat_map(|(t, r)| t.amplitudes.iter().zip(&r.linear)) {
+            for block in p.blocks_of(Equation::Torque).chain(p.blocks_of(Equation::Kinematic)) {
+                add(&mut j[inertia][block.rows.clone()], -a, &c[block.rows.clone()]);
             }
         }
     }
@@ -106,7 +104,7 @@ pub fn contribution(p: &Problem, m: &Material, term: &Term) -> Vec<f64> {
     let r = fit::Regressor::new(p, term.kind, &term.shape, &m.constants);
     let mut out = r.fixed.unwrap_or_else(|| vec![0.0; p.rows]);
     for (a, c) in term.amplitudes.iter().zip(&r.linear) {
-        out.iter_mut().zip(c).for_each(|(o, c)| *o += a * c);
+        add(&mut out, *a, c);
     }
     out
 }
@@ -245,7 +243,7 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
             let x = DVector::from_fn(count, |a, _| x[a] / norm[a]);
             let mut alone = d.clone();
             for (a, c) in j.iter().enumerate() {
-                alone.iter_mut().zip(c).for_each(|(o, c)| *o -= x[a] * c);
+                add(&mut alone, -x[a], c);
             }
             let size: f64 = alone.iter().zip(&w).map(|(o, w)| (o * w).powi(2)).sum();
             let (by_block, _) = scores(p, &[alone], &fit.residual, &fit.sigma, 1);

@@ -5,8 +5,8 @@ use crate::candidates::shapes;
 use crate::candidates::springs::BY_TORQUE;
 use crate::measured::sums::dot;
 use crate::search::fit::{Fit, Regressor, Term};
+use crate::search::needed::penalised;
 use crate::search::select::Material;
-use crate::search::study::penalised;
 use sim_worker::effect::{EffectKind, Equation};
 
 impl Material {

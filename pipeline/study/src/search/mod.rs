@@ -7,6 +7,7 @@ pub mod form;
 pub mod intervals;
 pub mod judge;
 mod laws;
+mod needed;
 pub mod remainder;
 pub mod scan;
 pub mod select;

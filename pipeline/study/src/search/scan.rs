@@ -6,7 +6,7 @@ use crate::candidates::springs::resonance;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
-use crate::measured::sums::dot;
+use crate::measured::sums::{add, dot};
 use crate::search::fit::{Assembled, Regressor, Score, Term, log_likelihood};
 use crate::search::shadow::{Cast, Shadow};
 use crate::search::spectrum;
@@ -76,7 +76,7 @@ impl Basis {
     fn project(&self, c: &mut [f64]) {
         for q in &self.q {
             let s = dot(q, c);
-            c.iter_mut().zip(q).for_each(|(c, q)| *c -= s * q);
+            add(c, -s, q);
         }
     }
 }

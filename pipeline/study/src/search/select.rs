@@ -12,6 +12,7 @@ use crate::measured::bench::{Bench, BenchChannel, Known, Noise, Role};
 use crate::measured::check;
 use crate::measured::filtered;
 use crate::measured::recording::{self, Run};
+use crate::measured::sums::add;
 use crate::measured::winding;
 use crate::search::excitation;
 use crate::search::fit::{self, Fit, Regressor, Score, Term};
@@ -116,7 +117,7 @@ impl Material {
                 let r = Regressor::new(p, e.kind, &shape, &constants);
                 let linear = amplitudes.iter().zip(&r.linear);
                 for (a, column) in r.fixed.iter().map(|f| (1.0, f)).chain(linear.map(|(a, c)| (*a, c))) {
-                    p.y.iter_mut().zip(column).for_each(|(y, c)| *y -= a * c);
+                    add(&mut p.y, -a, column);
                 }
             }
         }

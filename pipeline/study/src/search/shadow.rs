@@ -2,7 +2,7 @@
 //! the basis of what is fitted already stands in all of them, and is never written down.
 
 use crate::equations::problem::Problem;
-use crate::measured::sums::dot;
+use crate::measured::sums::{add, dot};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -126,10 +126,7 @@ impl Shadow {
             whole: DVector::zeros(n),
         };
         for (c, amplitude) in columns {
-            sum.column
-                .iter_mut()
-                .zip(&c.column)
-                .for_each(|(s, c)| *s += amplitude * c);
+            add(&mut sum.column, amplitude, &c.column);
             sum.whole.axpy(amplitude, &c.whole, 1.0);
             for e in (0..5).filter(|e| c.somewhere[*e]) {
                 sum.somewhere[e] = true;
@@ -170,7 +167,7 @@ mod tests {
         let beyond = |q: &[Vec<f64>], mut c: Vec<f64>| {
             for q in q.iter().chain(q) {
                 let s = dot(q, &c);
-                c.iter_mut().zip(q).for_each(|(c, q)| *c -= s * q);
+                add(&mut c, -s, q);
             }
             c
         };

@@ -1,15 +1,12 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
-use crate::candidates::bristles::breaks_away;
-use crate::candidates::columns::{self, Form};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
-use crate::measured::bench::BenchChannel;
 use crate::search::beside::{self, Beside};
-use crate::search::fit::{self, Fit, Term};
+use crate::search::fit::{self, Fit, MOST_EFFECTS, Term};
 use crate::search::form::{self, Strange};
-use crate::search::intervals;
 use crate::search::judge::{LEAST_GAIN, OTHERWISE, SLOW_EXCESS, SLOWEST, Step, TWICE, judged};
+use crate::search::needed::{needed, penalised, vague};
 use crate::search::remainder;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
@@ -30,22 +27,10 @@ fn settled(m: &Material, model: &Fit) -> bool {
     !bristles || moved < STILL_MOVES
 }
 
-/// Most effects that one study adds.
-pub const MOST_EFFECTS: usize = 4;
 /// Gain of a candidate that is worth a look at pairs although it is refused alone.
 const PAIR_GAIN: f64 = 60.0;
 /// Torque over the rms of the fit runs beyond which held-out data are beyond what was excited.
 const EXCITED: f64 = 3.0;
-/// Half-width of an amplitude's 95 % interval over the amplitude from which it may as well be nothing.
-const VAGUE: f64 = 0.7;
-/// The same of the stiffness of a spring that only the torque shows (assumed).
-const VAGUE_SPRING: f64 = 0.4;
-/// The same from which the interval holds nothing: such an effect is none, whatever the fit gains by it.
-const NOTHING: f64 = 1.0;
-/// Gain of an effect that is there though its interval is wide.
-const CERTAIN: f64 = 60.0;
-/// Share of the dry friction that a friction of the speed has at least beside bristles (assumed).
-const LEAST_BESIDE_BRISTLES: f64 = 0.02;
 /// Energy of the voltage over that of the noise up to which nothing else is in it (assumed).
 const QUIET: f64 = 1.35;
 /// Candidates that a second one is tried with.
@@ -258,7 +243,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     let mut steps: Vec<Step> = Vec::new();
     let mut ambiguous: Vec<(EffectKind, Vec<EffectKind>)> = Vec::new();
     // what one step adds and the next takes out again is not looked for once more
-    let mut before: Vec<Vec<EffectKind>> = vec![kinds(&model)];
+    let mut before: Vec<Vec<EffectKind>> = vec![model.kinds()];
     while model.terms.len() < MOST_EFFECTS {
         tell(&format!("looking for effect {}", model.terms.len() + 1));
         if within_noise(&m, &model) {
@@ -290,10 +275,10 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         }
         (m, model) = m.needed_delays(model);
         model = needed(&m, m.at_ease(model));
-        if before.contains(&kinds(&model)) {
+        if before.contains(&model.kinds()) {
             break;
         }
-        before.push(kinds(&model));
+        before.push(model.kinds());
     }
     // an amplitude of the wrong sign, or one that may as well be nothing, is no effect
     while let Some(wrong) = model
@@ -393,13 +378,6 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
 }
 
-/// Kinds of a model's effects, in the order of the list.
-fn kinds(model: &Fit) -> Vec<EffectKind> {
-    let mut all: Vec<EffectKind> = model.terms.iter().map(|t| t.kind).collect();
-    all.sort_unstable();
-    all
-}
-
 /// A model whose resistance and inertia are no longer held at the end of their belief, where one cause explains all constants.
 fn one_cause(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<(Material, Fit)> {
     let loose = m.let_go(model)?;
@@ -419,32 +397,6 @@ fn within_noise(m: &Material, model: &Fit) -> bool {
         model.score.energy[e.index()] <= m.fit.quiet_energy(&model.residual, *e) && slow(*e) < SLOW_EXCESS
     };
     m.equations.iter().all(|e| *e != Equation::Controller && noise(e))
-}
-
-/// Log-likelihood less what the parameters of the terms cost (Schwarz).
-pub(super) fn penalised(m: &Material, fit: &Fit) -> f64 {
-    let rows: f64 = Equation::ALL
-        .iter()
-        .map(|e| m.fit.rows_of(*e) as f64 * m.fit.independent[e.index()])
-        .sum();
-    // the place where a spring is at ease is one more
-    let of = |t: &Term| t.kind.keys().len() + usize::from(t.kind == EffectKind::SpringLoad);
-    let count: usize = fit.terms.iter().map(of).sum();
-    fit.score.log_likelihood - 0.5 * count as f64 * rows.max(1.0).ln()
-}
-
-/// Without the terms that are no longer needed.
-fn needed(m: &Material, mut model: Fit) -> Fit {
-    let mut at = 0;
-    while model.terms.len() > 1 && at < model.terms.len() {
-        let without = m.without(&model, at);
-        if penalised(m, &model) - penalised(m, &without) < LEAST_GAIN {
-            model = m.polish(&without, 1);
-        } else {
-            at += 1;
-        }
-    }
-    model
 }
 
 /// Takes out the terms without which held-out data, seen here for the first time, are told as well: their kinds, and what
@@ -480,38 +432,6 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
         let proofs = model.terms.iter().zip(&without).map(proof).collect();
         return (unproven, proofs);
     }
-}
-
-/// The last term whose amplitude's interval reaches nothing.
-fn vague(m: &Material, model: &Fit) -> Option<usize> {
-    if model.terms.is_empty() {
-        return None;
-    }
-    let all = intervals::intervals(m, model);
-    let static_too = |t: &Term| t.kind == EffectKind::Presliding && breaks_away(&t.shape);
-    let static_too = model.terms.iter().any(static_too);
-    let bristles = model.has(EffectKind::Presliding);
-    (0..model.terms.len()).rev().find(|&t| {
-        let e = fit::effect_of(&model.terms[t], &m.constants, &m.fit);
-        let linear = !matches!(columns::form(e.kind), Form::Shape | Form::Presliding);
-        // all constants together stand for a gain: their beliefs decide, where no load is measured
-        let gain = model.terms[t].is_gain_of_all();
-        let most = if gain && m.has(BenchChannel::Load) { 1.0 } else { VAGUE };
-        // bristles that break away at the static friction have what slow motion has more of it, up to a speed that is assumed
-        let same = e.kind == EffectKind::Stribeck && static_too;
-        let needed = || !gain && !same && penalised(m, model) - penalised(m, &m.without(model, t)) > CERTAIN;
-        let size = e.values[0].abs();
-        let mut half = all.terms[t][0] / size;
-        if half > most {
-            half = intervals::intervals_by_law(m, model, Some(t)).terms[t][0] / size;
-        }
-        // how bristles turn round between two samples is known no better
-        let of_speed = matches!(e.kind, EffectKind::LubricatedRise | EffectKind::Stribeck);
-        let turning = bristles && of_speed && size < LEAST_BESIDE_BRISTLES * m.constants.effect.coulomb;
-        // a spring that only the torque shows is there if it is known how stiff it is
-        let unseen = e.kind == EffectKind::Compliance && m.fit.on_time() && !m.fit.sees_user();
-        turning || linear && (half > NOTHING || half > most && !needed()) || unseen && half > VAGUE_SPRING
-    })
 }
 
 /// What is met more often comes first where the data cannot tell, in log-likelihood (assumed).

@@ -3,7 +3,7 @@
 use crate::equations::pieces::Piece;
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
-use crate::measured::sums::dot;
+use crate::measured::sums::{add, dot};
 use crate::search::fit::{self, Fit};
 use crate::search::select::Material;
 use nalgebra::{DMatrix, DVector};
@@ -166,7 +166,7 @@ impl<'a> Trial<'a> {
         let learnt = (0..own.of_model).chain(own.find.len()..n);
         for (i, column) in learnt.zip(own.prove.iter().chain(&columns(self.prove.p))) {
             let size = x[i] / norms[i];
-            r.iter_mut().zip(column).for_each(|(r, c)| *r -= size * c);
+            add(&mut r, -size, column);
         }
         Some(self.prove.energy(&fit::without_local(self.prove.p, r, sigma)))
     }

@@ -165,8 +165,8 @@ impl<'a> Left<'a> {
     }
 }
 
-/// Energy that a constant takes from the rows which is learnt from the neighbouring times that tell it, each while from the others, beyond what the same
-/// takes that is learnt from all other times.
+/// Energy that a constant takes from the rows which is learnt from the neighbouring times that tell it, each while from the others, beyond
+/// what the same takes that is learnt from all other times.
 fn taken_in_time(side: &Left, column: &[f64], trust: f64) -> f64 {
     let rate = side.p.clock.rate_hz;
     let mut taken = 0.0;
