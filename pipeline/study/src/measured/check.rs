@@ -310,6 +310,27 @@ fn drive(bench: &Bench, runs: &[&Run]) -> Result<()> {
 /// Share of the torque's energy from which friction is seen to brake (assumed).
 const BRAKED: f64 = 0.1;
 
+/// Cosine between torque and speed from which the drive is seen to do work (assumed): a spring and an inertia take none.
+const WORKS: f64 = 0.05;
+
+/// Cosine between torque and speed over the runs of a file: below zero where one of them has the wrong sign.
+fn works(bench: &Bench, runs: &[&Run]) -> Option<f64> {
+    use BenchChannel as C;
+    let (mut uw, mut uu, mut ww) = (0.0, 0.0, 0.0);
+    for run in runs {
+        let smooth = FilterBank::new(WIDE * run.rate_hz, run.rate_hz, 0.0);
+        let u = smooth.whole(0, run.channel(bench.rig.drive)?);
+        let w = match (run.channel(C::Position), run.channel(C::Velocity)) {
+            (Some(x), _) => smooth.whole(1, x),
+            (None, w) => smooth.whole(0, w?),
+        };
+        for (u, w) in u.iter().zip(&w) {
+            (uw, uu, ww) = (uw + u * w, uu + u * u, ww + w * w);
+        }
+    }
+    (uu > 0.0 && ww > 0.0).then(|| bench.rig.drive_constant.value.signum() * uw / (uu * ww).sqrt())
+}
+
 /// The mistake that is seen with a corner at this share of the sampling rate.
 fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> {
     use BenchChannel as C;
@@ -334,7 +355,7 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
     let (told, frictional) = (share(0) > 0.02, share(2));
     // nobody's sign or unit makes an inertia negative and leaves a friction that brakes: a spring does
     let braked: f64 = [1, 2].iter().map(|t| x[*t].signum() * share(*t)).sum();
-    if x[0] < 0.0 && braked > BRAKED {
+    if x[0] < 0.0 && (braked > BRAKED || works(bench, runs).is_some_and(|w| w > WORKS)) {
         return Ok(None);
     }
     if (told && x[0] < 0.0 && (x[2] < 0.0 || frictional < 0.05))
@@ -373,6 +394,13 @@ mod tests {
         let inertial = fit.x[0] * fit.x[0] * fit.g[(0, 0)] / fit.energy;
         assert!(fit.x[0] < 0.0 && inertial > 0.02, "{} {inertial}", fit.x[0]);
         check(&bench, &runs).unwrap();
+        // one that leaves hardly anything for friction neither
+        let (bench, runs) = rig(|_, [_, x, ..]| 1.5 * x);
+        let braked = drive_at(&bench, &[&runs[0]], NARROW).unwrap();
+        assert!(braked.is_none(), "{braked:?}");
+        check(&bench, &runs).unwrap();
+        let (bench, runs) = rig(|_, [_, x, _, _, torque]| -2.0 * torque - 1.5 * x);
+        assert!(check(&bench, &runs).is_err());
         // a reversed sign is one
         let (bench, runs) = rig(|_, [_, _, _, _, torque]| -2.0 * torque);
         let said = check(&bench, &runs).unwrap_err().to_string();

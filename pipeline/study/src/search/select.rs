@@ -216,6 +216,19 @@ impl Material {
         self.again(bench, nuisances, (excess, self.excess.1))
     }
 
+    /// The equations and a fit as they are where nothing else was ever in its place: what was left beside an effect that is none says
+    /// nothing of the noise.
+    pub(super) fn afresh(&self, fit: &Fit) -> (Self, Fit) {
+        let mut m = self.again(self.bench.clone(), self.nuisances.clone(), (0.0, self.excess.1));
+        let mut model = m.polish(&m.solve(&fit.terms, m.first_sigma()), 1);
+        for _ in 0..2 {
+            let terms;
+            (m, terms) = m.carried(&model);
+            model = m.polish(&m.solve(&terms, model.sigma), 1);
+        }
+        (m, model)
+    }
+
     /// The same around a fit, and its terms there: a load on its spring is a share of the inertia.
     pub fn carried(&self, fit: &Fit) -> (Self, Vec<Term>) {
         let around = self.around(fit);

@@ -274,7 +274,11 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
             }
         }
         (m, model) = m.needed_delays(model);
+        let with = model.terms.len();
         model = needed(&m, m.at_ease(model));
+        if model.terms.len() < with {
+            (m, model) = m.afresh(&model);
+        }
         if before.contains(&model.kinds()) {
             break;
         }

@@ -427,6 +427,14 @@ mod tests {
     }
 
     #[test]
+    fn a_strong_spring_hides_no_friction_that_falls_with_the_speed() {
+        let o = studied(|_, [_, x, w, ..]| 2.0 * x + 0.09 * (-w.abs() / 0.6).exp() * w.signum());
+        let mut names: Vec<_> = o.model.terms.iter().map(|t| t.kind.name()).collect();
+        names.sort_unstable();
+        assert_eq!((names, o.verdict), (vec!["spring_load", "stribeck"], Verdict::Named));
+    }
+
+    #[test]
     fn laws_that_the_list_does_not_have_are_told() {
         let tone = studied(|run, [t, ..]| 0.03 * (TAU * 7.3 * t + run as f64).sin());
         assert!(
