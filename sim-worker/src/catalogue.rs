@@ -18,7 +18,7 @@ macro_rules! built_in {
 const SEQUENCES: &[(&str, &str)] =
     built_in!("sequences": "preflight", "ramp", "sine", "step", "chirp", "multisine", "preflight2");
 const GRIDS: &[(&str, &str)] = built_in!("grids": "standard", "fine", "coarse");
-const SPREADS: &[(&str, &str)] = built_in!("spreads": "fleet", "field", "unit", "service");
+const SPREADS: &[(&str, &str)] = built_in!("spreads": "fleet", "field", "bridge", "unit", "service");
 const SENSORS: &[(&str, &str)] = built_in!("sensors": "reference");
 
 fn section(kind: &str, known: &[(&str, &str)], name: &str) -> Result<Section> {

@@ -46,11 +46,13 @@ pub enum Cause {
     TestTemperature,
     /// that slope of friction
     FrictionSlope,
+    /// voltage that each conducting leg of the bridge loses (dead time and diodes)
+    BridgeDrop,
 }
 
 impl Cause {
     /// Number of causes.
-    pub const COUNT: usize = 16;
+    pub const COUNT: usize = 17;
     /// Those that stand in every fingerprint and are drawn first; later ones follow where they have a half-width.
     pub const FIRST: usize = 7;
     /// All, in the order of [`Spread::half_width`].
@@ -71,6 +73,7 @@ impl Cause {
         Cause::EffectGrowth,
         Cause::TestTemperature,
         Cause::FrictionSlope,
+        Cause::BridgeDrop,
     ];
 
     /// Key of its half-width in a spread's file.
@@ -92,6 +95,7 @@ impl Cause {
             Cause::EffectGrowth => "effect_growth",
             Cause::TestTemperature => "test_temperature_k",
             Cause::FrictionSlope => "friction_slope_relative",
+            Cause::BridgeDrop => "bridge_drop_v",
         }
     }
 
@@ -114,6 +118,7 @@ impl Cause {
             Cause::EffectGrowth => "effect_growth",
             Cause::TestTemperature => "temperature_degc",
             Cause::FrictionSlope => "friction_slope_relative",
+            Cause::BridgeDrop => "bridge_drop_v",
         }
     }
 
@@ -136,6 +141,7 @@ impl Cause {
             Cause::EffectGrowth => "growth of effects of friction with FSJ",
             Cause::TestTemperature => "temperature of the actuator",
             Cause::FrictionSlope => "slope of friction over temperature",
+            Cause::BridgeDrop => "voltage that the bridge loses",
         }
     }
 
@@ -155,6 +161,7 @@ impl Cause {
             Cause::EffectGrowth => known - actuator.effects.iter().map(|e| e.grows).fold(0.0, f64::max),
             Cause::BreakAway | Cause::HealthyFriction => relative(actuator.static_friction_n_m),
             Cause::Temperature | Cause::TestTemperature => known - actuator.temperature_degc,
+            Cause::BridgeDrop => known - 0.5 * lost_by_two_legs(actuator),
             Cause::RestAngle => {
                 let turn = std::f64::consts::TAU;
                 (known - rest_angle_rad + 0.5 * turn).rem_euclid(turn) - 0.5 * turn
@@ -173,6 +180,7 @@ impl Cause {
                 | Cause::EffectGrowth
                 | Cause::TestTemperature
                 | Cause::FrictionSlope
+                | Cause::BridgeDrop
         )
     }
 
@@ -272,6 +280,24 @@ fn break_away(a: &ActuatorParameters) -> f64 {
     ((fixed + rise - least) / fixed).clamp(UNSEEN, 0.5)
 }
 
+/// Voltage that two conducting legs of the bridge lose, by the actuator's effects [V].
+fn lost_by_two_legs(a: &ActuatorParameters) -> f64 {
+    a.effects
+        .iter()
+        .filter(|e| e.kind == EffectKind::DeadTime)
+        .map(|e| e.values[0])
+        .sum()
+}
+
+/// Adds to it. Less than nothing is a drive that makes up for more than its bridge loses.
+fn lose_more(a: &mut ActuatorParameters, volts: f64) {
+    match a.effects.iter_mut().find(|e| e.kind == EffectKind::DeadTime) {
+        Some(e) => e.values[0] += volts,
+        None if volts != 0.0 => a.effects.push(Effect::new(EffectKind::DeadTime, &[volts])),
+        None => {}
+    }
+}
+
 impl Spread {
     /// Nothing differs.
     pub fn none() -> Self {
@@ -339,6 +365,7 @@ impl Spread {
                     |x| (0.0..=5.0).contains(&x),
                     "0 to 5 standard deviations",
                 )?,
+                Cause::BridgeDrop => s.number_or(cause.key(), 0.0, |x| (0.0..=5.0).contains(&x), "0 to 5 V")?,
                 _ => s.number_or(cause.key(), 0.0, |x| (0.0..=0.5).contains(&x), "0 to 0.5")?,
             };
         }
@@ -426,6 +453,7 @@ impl Spread {
                         let amplitude = through == Cause::EffectAmplitude;
                         a.effects.iter_mut().for_each(|e| e.deviate(amplitude, x));
                     }
+                    Cause::BridgeDrop => lose_more(&mut a, 2.0 * x),
                     Cause::Temperature | Cause::TestTemperature | Cause::FrictionSlope => {
                         unreachable!("acts through others")
                     }
@@ -448,7 +476,7 @@ mod tests {
             &a,
             0.5,
             &[
-                1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0,
+                1.0, -1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0,
             ],
         );
         let near = |x: f64, y: f64| assert!((x / y - 1.0).abs() < 1e-12, "{x} {y}");
@@ -474,6 +502,21 @@ mod tests {
         let spread = Spread::identified(&a).unwrap();
         assert!((spread.half_width[Cause::Inertia as usize] - 0.01 * 3f64.sqrt()).abs() < 1e-12);
         assert_eq!(spread.half_width[Cause::BreakAway as usize], 0.05);
+    }
+
+    #[test]
+    fn prop_what_the_bridge_loses_is_added_to_what_the_actuator_has() {
+        let mut a = ActuatorParameters::reference();
+        let bridge = crate::catalogue::spread("bridge").unwrap();
+        let at = |a: &ActuatorParameters, share: f64| bridge.unit(a, 0.0, &[share; Cause::COUNT]).0;
+        assert_eq!(at(&a, 0.0).effects, []);
+        assert!((lost_by_two_legs(&at(&a, 1.0)) - 0.2).abs() < 1e-12);
+        a.effects.push(Effect::new(EffectKind::DeadTime, &[0.7]));
+        let less = at(&a, -1.0);
+        assert!((lost_by_two_legs(&less) - 0.5).abs() < 1e-12);
+        // what is known of a unit is found again, of each leg
+        let found = Cause::BridgeDrop.deviation(&a, 0.0, 0.5 * lost_by_two_legs(&less));
+        assert!((found + 0.1).abs() < 1e-12, "{found}");
     }
 
     #[test]

@@ -71,6 +71,9 @@ struct Options {
     /// Of `--defects`: these kinds alone, as the tables call them
     #[arg(long, value_name = "KIND", requires = "defects")]
     kind: Vec<String>,
+    /// Of `--defects`: units without history, of this spread, by the paper's test alone
+    #[arg(long, value_name = "SPREAD", requires = "defects")]
+    among: Option<String>,
     /// Write the text here, too
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
@@ -208,7 +211,11 @@ fn with_defects(cache: &std::path::Path, options: &Options) -> Result<String> {
         options.tests
     );
     let draw = (options.tests, options.seed);
-    for (sequence, spread) in [("preflight", "fleet"), ("preflight2", "field")] {
+    let fleets = match &options.among {
+        Some(spread) => vec![("preflight", spread.as_str())],
+        None => vec![("preflight", "fleet"), ("preflight2", "field")],
+    };
+    for (sequence, spread) in fleets {
         if options.coverage_only && sequence == "preflight2" {
             continue;
         }
@@ -227,7 +234,7 @@ fn with_defects(cache: &std::path::Path, options: &Options) -> Result<String> {
         let _ = writeln!(out, "### {sequence}, spread {}, no history\n\n{table}", spread.name);
     }
     for sequence in ["preflight", "preflight2"] {
-        if options.coverage_only && sequence == "preflight2" {
+        if options.among.is_some() || options.coverage_only && sequence == "preflight2" {
             continue;
         }
         let spread = sim_worker::catalogue::spread("unit")?;

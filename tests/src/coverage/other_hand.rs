@@ -1,7 +1,7 @@
 //! Units that differ, simulated by another hand ([`crate::independent`]): what is measured there says whether intervals hold
 //! where nobody who made them wrote the simulator.
 
-use crate::independent::{self, Command, Telemetry, record};
+use crate::independent::{self, Command, Effect, Telemetry, record};
 use diagnoser::uncertainty::deviations;
 use pipeline::calibrate::Unit;
 use rayon::prelude::*;
@@ -27,6 +27,10 @@ pub fn of(spread: &Spread, unit: &Unit) -> independent::Unit {
         (&mut u.fs0, Cause::HealthyFriction),
     ] {
         *value *= 1.0 + cause.of_counted(x[cause as usize]);
+    }
+    let drop = Cause::BridgeDrop.of_counted(x[Cause::BridgeDrop as usize]);
+    if drop != 0.0 {
+        u.effects.extend(Effect::new("dead_time", &[("voltage", drop)]));
     }
     u
 }
