@@ -207,8 +207,6 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         "the error of the angle sensor makes as much of other torques"
     } else if commutated(m, model, next) {
         "dead time makes as much of the torque at each commutation"
-    } else if late(model, next) {
-        "a cogging that comes a little late makes as much"
     } else if unshown(m, model, next) {
         "the voltage does not show it"
     } else if part(m, model, next) < LEAST_PART {
@@ -312,26 +310,6 @@ fn commutated(m: &Material, model: &Fit, next: &Fit) -> bool {
         .filter(|t| shapes::has_order(t.kind))
         .filter(with_it)
         .any(|t| slight(m, t, COMMUTATED))
-}
-
-/// Whether a new friction by the place is what is left of a cogging that the torque shows a little late: of the same order, a quarter
-/// period away, and small. `cos n (theta - omega tau)` is `cos n theta` and `n omega tau sin n theta`, which turns over with the motion.
-fn late(model: &Fit, next: &Fit) -> bool {
-    const SAME_ORDER: f64 = 0.01;
-    const SMALL: f64 = 0.15;
-    const ACROSS: f64 = 0.4;
-    let size = |t: &Term| t.amplitudes[0].hypot(t.amplitudes[1]);
-    let follows = |f: &Term, c: &Term| {
-        let along = f.amplitudes[0] * c.amplitudes[0] + f.amplitudes[1] * c.amplitudes[1];
-        (f.shape[0] / c.shape[0] - 1.0).abs() < SAME_ORDER
-            && size(f) < SMALL * size(c)
-            && along.abs() < ACROSS * size(f) * size(c)
-    };
-    let of = |kind: EffectKind| move |t: &&Term| t.kind == kind;
-    next.terms[model.terms.len()..]
-        .iter()
-        .filter(of(EffectKind::PeriodicFriction))
-        .any(|f| next.terms.iter().filter(of(EffectKind::Cogging)).any(|c| follows(f, c)))
 }
 
 /// Whether a new torque repeats once or twice a turn beside an angle sensor that is out of centre, and is no more than its error
