@@ -51,7 +51,7 @@ pub struct DiagnoseArgs {
     /// Grid of maps made on first use
     #[arg(long, default_value = "fine", help_heading = MAPS)]
     grid: String,
-    /// Spread from unit to unit that the intervals allow for: none, fleet, own, or a TOML file
+    /// Spread from unit to unit that the intervals allow for: none, fleet, field, bridge, service, own, or a TOML file
     ///
     /// none: the recording is of the very actuator of the maps; fleet: all values assumed; own: as well as the actuator's
     /// file says that it was identified by a study, else none.
