@@ -233,8 +233,11 @@ fn with_defects(cache: &std::path::Path, options: &Options) -> Result<String> {
         let table = defects::table(defects, &setup, &spread, &units::command_of(sequence), &known, draw)?;
         let _ = writeln!(out, "### {sequence}, spread {}, no history\n\n{table}", spread.name);
     }
+    if options.among.is_some() {
+        return Ok(out);
+    }
     for sequence in ["preflight", "preflight2"] {
-        if options.among.is_some() || options.coverage_only && sequence == "preflight2" {
+        if options.coverage_only && sequence == "preflight2" {
             continue;
         }
         let spread = sim_worker::catalogue::spread("unit")?;

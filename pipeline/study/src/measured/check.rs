@@ -240,6 +240,8 @@ struct Straight {
     x: nalgebra::Vector4<f64>,
     /// products of the terms
     g: nalgebra::Matrix4<f64>,
+    /// of the terms and the torque
+    r: nalgebra::Vector4<f64>,
     /// of the torque
     energy: f64,
 }
@@ -281,12 +283,12 @@ fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3]) -> Optio
     let norm = nalgebra::Vector4::from_fn(|i, _| g[(i, i)].sqrt().max(1e-300));
     let unit = nalgebra::Matrix4::from_fn(|i, j| g[(i, j)] / (norm[i] * norm[j]) + if i == j { 1e-9 } else { 0.0 });
     let x = unit.cholesky()?.solve(&r.component_div(&norm)).component_div(&norm);
-    Some(Straight { x, g, energy })
+    Some(Straight { x, g, r, energy })
 }
 
 /// Inertia, viscous and dry friction of nobody's knowledge: a place to begin.
 pub fn rough(bench: &Bench, runs: &[&Run]) -> Option<[f64; 3]> {
-    let Straight { x, g, energy } = straight(bench, runs, WIDE, [1.0; 3])?;
+    let Straight { x, g, energy, .. } = straight(bench, runs, WIDE, [1.0; 3])?;
     // a spring turns the sign of an inertia, or it makes too little of the torque: none would leave no equation
     let little = LITTLE * (energy / g[(0, 0)].max(1e-300)).sqrt();
     Some([if x[0] > 0.0 { x[0] } else { little }, x[1], x[2]])
@@ -313,24 +315,6 @@ const BRAKED: f64 = 0.1;
 /// Cosine between torque and speed from which the drive is seen to do work (assumed): a spring and an inertia take none.
 const WORKS: f64 = 0.05;
 
-/// Cosine between torque and speed over the runs of a file: below zero where one of them has the wrong sign.
-fn works(bench: &Bench, runs: &[&Run]) -> Option<f64> {
-    use BenchChannel as C;
-    let (mut uw, mut uu, mut ww) = (0.0, 0.0, 0.0);
-    for run in runs {
-        let smooth = FilterBank::new(WIDE * run.rate_hz, run.rate_hz, 0.0);
-        let u = smooth.whole(0, run.channel(bench.rig.drive)?);
-        let w = match (run.channel(C::Position), run.channel(C::Velocity)) {
-            (Some(x), _) => smooth.whole(1, x),
-            (None, w) => smooth.whole(0, w?),
-        };
-        for (u, w) in u.iter().zip(&w) {
-            (uw, uu, ww) = (uw + u * w, uu + u * u, ww + w * w);
-        }
-    }
-    (uu > 0.0 && ww > 0.0).then(|| bench.rig.drive_constant.value.signum() * uw / (uu * ww).sqrt())
-}
-
 /// The mistake that is seen with a corner at this share of the sampling rate.
 fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> {
     use BenchChannel as C;
@@ -347,7 +331,7 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
         return Err(Error::bad(&run.name, "channels", found, "one of them"));
     }
     let scale = [rig.inertia.value, rig.viscous.value, rig.coulomb.value].map(|x| x.max(1e-12));
-    let Some(Straight { x, g, energy }) = straight(bench, runs, corner, scale) else {
+    let Some(Straight { x, g, r, energy }) = straight(bench, runs, corner, scale) else {
         return Ok(None);
     };
     // share of the torque's energy that a term makes: too little of the inertia's tells nothing
@@ -355,7 +339,8 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
     let (told, frictional) = (share(0) > 0.02, share(2));
     // nobody's sign or unit makes an inertia negative and leaves a friction that brakes: a spring does
     let braked: f64 = [1, 2].iter().map(|t| x[*t].signum() * share(*t)).sum();
-    if x[0] < 0.0 && (braked > BRAKED || works(bench, runs).is_some_and(|w| w > WORKS)) {
+    let works = r[1] > WORKS * (g[(1, 1)] * energy).sqrt();
+    if x[0] < 0.0 && (braked > BRAKED || works) {
         return Ok(None);
     }
     if (told && x[0] < 0.0 && (x[2] < 0.0 || frictional < 0.05))

@@ -222,9 +222,7 @@ impl Material {
         let mut m = self.again(self.bench.clone(), self.nuisances.clone(), (0.0, self.excess.1));
         let mut model = m.polish(&m.solve(&fit.terms, m.first_sigma()), 1);
         for _ in 0..2 {
-            let terms;
-            (m, terms) = m.carried(&model);
-            model = m.polish(&m.solve(&terms, model.sigma), 1);
+            (m, model) = m.refitted(&model);
         }
         (m, model)
     }
@@ -238,6 +236,13 @@ impl Material {
             t.shape.iter_mut().take(3).for_each(|x| *x *= factor);
         }
         (around, terms)
+    }
+
+    /// The same, fitted there.
+    pub(super) fn refitted(&self, fit: &Fit) -> (Self, Fit) {
+        let (m, terms) = self.carried(fit);
+        let model = m.polish(&m.solve(&terms, fit.sigma), 1);
+        (m, model)
     }
 
     /// The same without what is believed of constants that a fit holds at the end of their belief, though a voltage shows them;

@@ -293,10 +293,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         model = m.dropped(&model, wrong);
     }
     while let Some(vague) = vague(&m, &model) {
-        model = m.dropped(&model, vague);
-        let terms;
-        (m, terms) = m.carried(&model);
-        model = m.polish(&m.solve(&terms, model.sigma), 1);
+        (m, model) = m.refitted(&m.dropped(&model, vague));
     }
     // constants that nothing of the list explains may have one cause together
     let told = |t: &Term| matches!(t.kind, EffectKind::CurrentGain | EffectKind::WindingHeating);

@@ -394,6 +394,7 @@ mod tests {
     use crate::search::form::Strange;
     use crate::search::study::{Outcome, study};
     use crate::search::verdict::Verdict;
+    use sim_worker::effect::EffectKind;
 
     fn studied(besides: impl Fn(usize, [f64; 5]) -> f64) -> Outcome {
         let (bench, runs) = rig(besides);
@@ -432,6 +433,26 @@ mod tests {
         let mut names: Vec<_> = o.model.terms.iter().map(|t| t.kind.name()).collect();
         names.sort_unstable();
         assert_eq!((names, o.verdict), (vec!["spring_load", "stribeck"], Verdict::Named));
+    }
+
+    #[test]
+    fn a_fit_afresh_is_the_same_whatever_was_taken_for_noise_before() {
+        let (bench, runs) = rig(|_, [_, x, w, ..]| 8.0 * x + 0.5 * (-w.abs()).exp() * w.signum());
+        let mut spring = study(Material::new(bench.clone(), runs.clone(), &[]), &|_| {})
+            .model
+            .terms;
+        spring.retain(|t| t.kind == EffectKind::SpringLoad);
+        let m = Material::new(bench, runs, &[]);
+        let off = |fit: &Fit| (fit.terms[0].amplitudes[0] / 8.0 - 1.0).abs();
+        let [little, much] = [0.1, 3.0].map(|noise| {
+            let loud = m.again(m.bench.clone(), m.nuisances.clone(), (noise, 0.0));
+            let fit = loud.solve(&spring, loud.first_sigma());
+            // the friction that falls with the speed is not in it: carried on, the spring has its part
+            assert!(off(&loud.refitted(&fit).1) > 0.25);
+            loud.afresh(&fit).1
+        });
+        assert!(off(&little) < 0.05, "{}", off(&little));
+        assert_eq!(little.terms[0].amplitudes, much.terms[0].amplitudes);
     }
 
     #[test]
