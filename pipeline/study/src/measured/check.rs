@@ -63,6 +63,12 @@ fn slope(x: &[f64], y: &[f64]) -> (f64, f64) {
     (xy / xx.max(1e-300), xy / (xx * yy).sqrt().max(1e-300))
 }
 
+/// What of `x` is not a multiple of `of`.
+fn without(x: &[f64], of: &[f64]) -> Vec<f64> {
+    let (g, _) = slope(of, x);
+    x.iter().zip(of).map(|(x, o)| x - g * o).collect()
+}
+
 /// Span of a motion channel up to which a machine stands still: a few grains of its sensor.
 fn still(c: BenchChannel, spec: &ChannelSpec) -> f64 {
     if c == BenchChannel::Position {
@@ -210,7 +216,10 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
             speed.as_ref().or(run.channel(C::Velocity).map(|x| x.to_vec()).as_ref()),
         ) && bench.rig.drive == C::Current
         {
-            let (g, r) = slope(w, &smooth.whole(0, v));
+            // what the winding's resistance takes follows the speed too, where friction brakes
+            let i = run.channel(C::Current).map(|i| smooth.whole(0, i));
+            let beside = |x: &[f64]| i.as_ref().map_or(x.to_vec(), |i| without(x, i));
+            let (g, r) = slope(&beside(w), &beside(&smooth.whole(0, v)));
             let ratio = g / bench.rig.back_emf.value;
             if bench.rig.back_emf.value > 0.0 && r.abs() > 0.7 && !(0.2..5.0).contains(&ratio) {
                 let why = if ratio < 0.0 {
@@ -371,6 +380,8 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
 mod tests {
     use super::*;
     use crate::measured::prescribed::{INERTIA, rig};
+    use crate::measured::recording::read_runs;
+    use std::fmt::Write;
 
     #[test]
     fn a_stiff_spring_is_no_reversed_sign() {
@@ -390,6 +401,36 @@ mod tests {
         let (bench, runs) = rig(|_, [_, _, _, _, torque]| -2.0 * torque);
         let said = check(&bench, &runs).unwrap_err().to_string();
         assert!(said.contains("reversed sign"), "{said}");
+    }
+
+    /// A motor whose dry friction takes most of its voltage over a small resistance, recorded with another unit of it.
+    fn winding(unit_of_voltage: f64) -> Result<()> {
+        let dir = tempfile::tempdir().unwrap();
+        let mut csv = "t,x,i,v\n".to_string();
+        for k in 0..4000 {
+            let t = f64::from(k) * 1e-3;
+            let (x, w) = (1.0 - (3.0 * t).cos(), 3.0 * (3.0 * t).sin());
+            let current = 1.5 * w.signum() + 0.05 * w + 0.1 * (40.0 * t).sin();
+            let voltage = unit_of_voltage * (2.0 * current + 0.3 * w);
+            writeln!(csv, "{t:.4},{x:.7},{current:.5},{voltage:.5}").unwrap();
+        }
+        std::fs::write(dir.path().join("run.csv"), csv).unwrap();
+        let bench = dir.path().join("bench.toml");
+        let text = "[rig]\nkind = \"rotary\"\ndrive = \"current\"\ndrive_constant = { value = 0.3, unit = \"N m/A\" }\n\
+             inertia = { value = 0.01, unit = \"kg m2\" }\nviscous = { value = 0.015, unit = \"N m s/rad\" }\n\
+             coulomb = { value = 0.45, unit = \"N m\" }\n[channels]\ntime = { column = \"t\", unit = \"s\" }\n\
+             position = { column = \"x\", unit = \"rad\" }\ncurrent = { column = \"i\", unit = \"A\" }\n\
+             voltage = { column = \"v\", unit = \"V\" }\n[[run]]\nfile = \"run.csv\"\nrole = \"fit\"\n";
+        std::fs::write(&bench, text).unwrap();
+        let bench = Bench::read(&bench, None).unwrap();
+        check(&bench, &read_runs(&bench).unwrap())
+    }
+
+    #[test]
+    fn what_the_resistance_takes_is_no_back_emf() {
+        winding(1.0).unwrap();
+        let said = winding(1000.0).unwrap_err().to_string();
+        assert!(said.contains("what the back-EMF makes"), "{said}");
     }
 
     #[test]
