@@ -37,6 +37,8 @@ pub struct Block {
 pub struct Problem {
     pub signals: Vec<Signals>,
     pub names: Vec<String>,
+    /// hash of the file of each run
+    pub files: Vec<String>,
     pub blocks: Vec<Block>,
     pub rows: usize,
     /// left-hand side less the nominal model, SI
@@ -199,6 +201,7 @@ impl Problem {
         }
         let mut p = Self {
             names: runs.iter().map(|r| r.name.clone()).collect(),
+            files: runs.iter().map(|r| r.hash.clone()).collect(),
             blocks,
             rows,
             y: vec![0.0; rows],

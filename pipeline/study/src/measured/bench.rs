@@ -217,6 +217,8 @@ pub struct Rig {
     pub encoder_speed: bool,
     /// by how much the drive's sensor is off as far as a study has found it [drive unit], and how many samples it is late
     pub drive_error: (f64, f64),
+    /// standard deviation of the dry and viscous friction of a file, as a share of the machine's; 0 where all files have the same
+    pub friction_of_day: f64,
     /// what the bench file does not say and the model's file did
     pub from_model: Vec<&'static str>,
     /// what neither says, and where it begins: keys and values in SI

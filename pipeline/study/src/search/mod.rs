@@ -1,5 +1,6 @@
 pub mod beside;
 pub mod closed_loop;
+mod days;
 mod delays;
 pub mod excitation;
 pub mod fit;
@@ -7,6 +8,7 @@ pub mod form;
 pub mod intervals;
 pub mod judge;
 mod laws;
+mod memory;
 mod needed;
 pub mod remainder;
 pub mod scan;

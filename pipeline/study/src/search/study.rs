@@ -3,6 +3,7 @@
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::search::beside::{self, Beside};
+use crate::search::days::Begin;
 use crate::search::fit::{self, Fit, MOST_EFFECTS, Term};
 use crate::search::form::{self, Strange};
 use crate::search::judge::{LEAST_GAIN, OTHERWISE, SLOW_EXCESS, SLOWEST, Step, TWICE, judged};
@@ -221,8 +222,25 @@ fn untouched(m: &Material, first: &[Nuisance]) -> Fit {
     fit::solve(&m.fit, &m.constants, &fixed, &[], m.first_sigma())
 }
 
-/// Runs the whole study; `tell` hears what is being done.
+/// Runs the whole study; `tell` hears what is being done. Where what it leaves differs from file to file as frictions do, once more with
+/// frictions of each file's own.
 pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
+    let begin = material.has_days().then(|| Begin::of(&material));
+    let alike = studied(material, tell);
+    let Some(begin) = begin.filter(|_| alike.material.days_apart(&alike.model)) else {
+        return alike;
+    };
+    tell("once more, with frictions of each file's own");
+    let apart = studied(alike.material.of_days(&begin), tell);
+    // what an effect makes is no friction of a day
+    if apart.material.days_apart(&apart.model) {
+        apart
+    } else {
+        alike
+    }
+}
+
+fn studied(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     tell("re-tuning");
     let first_nuisances = material.nuisances.clone();
     let mut m = material;
@@ -327,7 +345,7 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     let held_nominal_residual = m.held_residual(&nominal);
     let held_nominal = m.held_problem().energy(&held_nominal_residual);
     let nominal_to_channel = 1.0 / m.bench.rig.drive_constant.value;
-    let (verdict, explained, remainder) = conclude(&m, &nominal, &retuned, &model, &ambiguous);
+    let (verdict, explained, remainder) = conclude(&m, &nominal, &retuned, &model, &ambiguous, !beside.is_empty());
     let mut verdict = verdict.beside(&beside);
     if stranger && matches!(verdict, Verdict::None | Verdict::Retune) {
         verdict = Verdict::Unknown;

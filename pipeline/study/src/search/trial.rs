@@ -28,6 +28,18 @@ pub fn torque_column(p: &Problem, torque: impl Fn(&Signals, usize) -> f64) -> Ve
     p.column(&p.signals.iter().map(of).collect::<Vec<_>>())
 }
 
+/// Columns of torques, each at every sample of a run, as many in each run.
+pub fn torque_columns(p: &Problem, torques: impl Fn(&Signals) -> Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    let of_runs: Vec<Vec<Vec<f64>>> = p.signals.iter().map(torques).collect();
+    let count = of_runs.first().map_or(0, Vec::len);
+    let of = |j: usize| -> Vec<Vec<Piece>> {
+        let runs = of_runs.iter();
+        runs.map(|run| vec![Piece::of(Equation::Torque, 0, run[j].clone())])
+            .collect()
+    };
+    (0..count).map(|j| p.column(&of(j))).collect()
+}
+
 /// The rows of the torque that are judged, and what a model leaves of all rows.
 pub struct Side<'a> {
     pub p: &'a Problem,

@@ -1,11 +1,12 @@
 //! Laws that the list does not have and that any machine may: a constant that is another one at another time or place, an inertia that
-//! goes with the turn, a torque that keeps its own time.
+//! goes with the turn, a friction that remembers a reversal, a torque that keeps its own time.
 
 use crate::candidates::shapes::has_order;
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::sums::dot;
 use crate::search::fit::Fit;
+use crate::search::memory;
 use crate::search::remainder::{Regressor, bin, edges};
 use crate::search::select::Material;
 use crate::search::spectrum::{LONGEST, over_time};
@@ -116,6 +117,8 @@ pub enum Law {
     OfTurn,
     /// a torque that is a smooth curve of the place
     Curve,
+    /// a dry friction that is another one so far after a reversal
+    AfterReversal,
     /// a torque of one frequency, whatever the motion [Hz]
     Tone(f64),
 }
@@ -129,6 +132,7 @@ impl Law {
             Self::OfPlace => "the viscous friction is another one at other places".to_string(),
             Self::OfTurn => "the inertia goes with the angle within a turn".to_string(),
             Self::Curve => "the torque is a smooth curve of the place, and not seen to repeat".to_string(),
+            Self::AfterReversal => "the dry friction goes with the distance since the motion turned round".to_string(),
             Self::Tone(hz) => format!("a torque of {hz:.2} Hz keeps its own time, whatever the motion"),
         }
     }
@@ -315,6 +319,8 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
     let borders = edges(&m.fit, Equation::Torque, Regressor::Position, PLACES);
     try_out(Law::OfPlace, &|p| placed(p, &borders));
     try_out(Law::OfTurn, &|p| turned(m, p));
+    let distances = memory::distances(&m.fit);
+    try_out(Law::AfterReversal, &|p| memory::after_reversal(p, distances));
     let explained = (trial.prove.energy(&m.held_residual(retuned)) - left_of).max(0.0);
     let there = |u: &Unlisted| {
         let (least, of_explained) = match u.law {
@@ -395,6 +401,7 @@ mod tests {
     use crate::search::study::{Outcome, study};
     use crate::search::verdict::Verdict;
     use sim_worker::effect::EffectKind;
+    use std::cell::Cell;
 
     fn studied(besides: impl Fn(usize, [f64; 5]) -> f64) -> Outcome {
         let (bench, runs) = rig(besides);
@@ -425,6 +432,25 @@ mod tests {
         let mut names: Vec<_> = magnets.model.terms.iter().map(|t| t.kind.name()).collect();
         names.sort_unstable();
         assert_eq!((names, magnets.strange), (vec!["cogging", "spring_load"], None));
+    }
+
+    #[test]
+    fn a_friction_that_peaks_after_each_reversal_is_one() {
+        // distance since the motion turned round, its sense, and the run
+        let since = Cell::new((0.0, 0.0, 0));
+        let o = studied(|run, [_, _, w, ..]| {
+            let (far, sense, before) = since.get();
+            let goes_on = sense == w.signum() && run == before;
+            since.set((if goes_on { far + w.abs() * 1e-3 } else { 0.0 }, w.signum(), run));
+            0.08 * (-since.get().0 / 0.6).exp() * w.signum()
+        });
+        assert_eq!(law(&o), Some(Law::AfterReversal), "{:?}", o.strange);
+    }
+
+    #[test]
+    fn a_flywheel_behind_a_one_way_clutch_is_none_of_the_list() {
+        let o = studied(|_, [_, _, w, a, _]| if w > 0.0 && a > 0.0 { 6.0 * INERTIA * a } else { 0.0 });
+        assert_eq!(o.verdict, Verdict::Unknown, "{:?}", o.strange);
     }
 
     #[test]

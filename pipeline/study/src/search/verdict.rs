@@ -28,6 +28,10 @@ pub const SLOW_S: f64 = 0.02;
 /// sensors of one motion, whose own errors are many, more.
 pub const SLOWLY: f64 = 2.0;
 const SENSORS_APART: f64 = 12.0;
+/// Energy over that of the noise, and of slow means over what is no noise any more, from which nothing is known of a noise that could be it
+/// (assumed: rigs of other hands in which nothing is hidden left up to 3.9 and, beside that, 2).
+const PLAIN: f64 = 2.0;
+const PLAINLY: f64 = 5.0;
 /// Share of the phases' voltages, rms, below which what is left of them says nothing (assumed): their equation takes each commutation
 /// to last whole samples, and sensors of voltage are hardly more linear.
 const FINE: f64 = 1e-3;
@@ -117,12 +121,15 @@ fn drifting(p: &Problem, residual: &[f64], gap: f64) -> bool {
 }
 
 /// Verdict, share of the excess that is explained, and share of what is left that a table would still take.
+///
+/// * `beside` whether something was found beside the equations
 pub fn conclude(
     m: &Material,
     nominal: &Fit,
     retuned: &Fit,
     model: &Fit,
     ambiguous: &[(EffectKind, Vec<EffectKind>)],
+    beside: bool,
 ) -> (Verdict, f64, f64) {
     let unnamed = m.unnamed(model);
     let held = m.held_problem();
@@ -158,6 +165,14 @@ pub fn conclude(
     };
     let odd = |e: usize| by_equation[e].is_some() && (remainder > most || stated && beyond(e)) && !fine(e);
     if model.terms.is_empty() {
+        // whatever is said of the noise, and whatever its colour: on the runs that find and on those that prove
+        let plain = |e: usize| {
+            let over = |p: &Problem, residual: &[f64], energy: f64| {
+                let lasts = p.slow_energy(residual, Equation::ALL[e], SLOW_S);
+                energy > PLAIN * p.sensor_energy(e) && lasts > PLAINLY * slowly(e)
+            };
+            over(&m.fit, &model.residual, model.score.energy[e]) && over(held, &judged, after[e])
+        };
         // of a drive that is measured as means nothing is lost between samples
         let torque = Equation::Torque.index();
         let over = |p: &Problem, energy: f64| energy > GROSS * p.sensor_energy(torque);
@@ -166,17 +181,34 @@ pub fn conclude(
         if gross || (0..4).any(odd) {
             return (Verdict::Unknown, 0.0, remainder);
         }
+        if (0..4).any(|e| plain(e) && !fine(e)) {
+            let told = if beside {
+                Verdict::NamedWithRemainder
+            } else {
+                Verdict::Unknown
+            };
+            return (told, 0.0, remainder);
+        }
         let worse = (0..5).any(|e| nominal.score.energy[e] > 1.1 * retuned.score.energy[e])
             || m.bench.rig.supply_of_file.is_some();
         let verdict = if worse { Verdict::Retune } else { Verdict::None };
         return (verdict, 0.0, remainder);
     }
-    // an effect is not that which leaves its own equation unexplained
+    // an effect is not that which leaves its own equation unexplained, neither on the runs that prove nor on those that find
     let touched = |e: usize| model.terms.iter().any(|t| t.equation().index() == e);
     let own: Vec<f64> = (0..5).filter(|e| touched(*e)).filter_map(|e| by_equation[e]).collect();
-    let left = |e: usize| after[e] > REMAINS * held.sensor_energy(e);
-    let little = |e: usize, s: f64| s < NAMED_SHARE || s < CLEAN_SHARE && left(e);
-    let stranger = (0..5).any(|e| touched(e) && by_equation[e].is_some_and(|s| little(e, s)));
+    let by_fit = shares(
+        &m.fit,
+        &retuned.score.energy,
+        &model.score.energy,
+        Some(&model.residual),
+    );
+    let little = |e: usize, share: Option<f64>, left: f64, p: &Problem| {
+        share.is_some_and(|s| s < NAMED_SHARE || s < CLEAN_SHARE && left > REMAINS * p.sensor_energy(e))
+    };
+    let leaves =
+        |e: usize| little(e, by_equation[e], after[e], held) || little(e, by_fit[e], model.score.energy[e], &m.fit);
+    let stranger = (0..5).any(|e| touched(e) && leaves(e));
     // each effect has proven itself; where its equation as a whole was within the noise, nothing is left to explain
     let explained = if own.is_empty() {
         1.0

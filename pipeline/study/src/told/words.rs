@@ -191,6 +191,13 @@ pub(super) fn assumptions(m: &Material) -> Vec<String> {
             100.0 * t
         ));
     }
+    let of_day = m.bench.rig.friction_of_day;
+    if of_day > 0.0 {
+        out.push(format!(
+            "dry and viscous friction are another one in each file, as on another day: of each file its own, {:.0} % around the machine's (one sigma)",
+            100.0 * of_day
+        ));
+    }
     if let Some(f) = m.bench.made_of_angle {
         out.push(format!(
             "the recorded speed is no sensor of its own but the angle's slope through {} of the first order at {:.0} Hz: it was left out",

@@ -217,11 +217,33 @@ impl Problem {
             self.add_local(c, None);
         }
         self.add_phase_offsets(bench, runs);
+        self.add_days(bench, runs, [place("coulomb"), place("viscous")]);
     }
 
     pub(super) fn add_local(&mut self, column: Vec<f64>, trust: Option<f64>) {
         self.local.push(column);
         self.local_trust.push(trust);
+    }
+
+    /// Frictions of each file's own.
+    ///
+    /// * `frictions` places of their columns
+    fn add_days(&mut self, bench: &Bench, runs: &[&Run], frictions: [Option<usize>; 2]) {
+        let rig = &bench.rig;
+        if rig.friction_of_day <= 0.0 {
+            return;
+        }
+        let sizes = [rig.coulomb.value, rig.viscous.value];
+        for (column, _) in frictions.into_iter().zip(sizes).filter(|(_, size)| *size > 0.0) {
+            let Some(column) = column else { continue };
+            for file in files(runs) {
+                let mut own = vec![0.0; self.rows];
+                for b in self.blocks.iter().filter(|b| runs[b.run].hash == file) {
+                    own[b.rows.clone()].copy_from_slice(&self.base[column][b.rows.clone()]);
+                }
+                self.add_local(own, Some(rig.friction_of_day));
+            }
+        }
     }
 
     /// Offsets of the phases' sensors, of each file its own.
@@ -233,10 +255,7 @@ impl Problem {
             return;
         };
         let (r, ke) = (0.5 * bench.rig.resistance.value, 0.5 * bench.rig.drive_constant.value);
-        let mut files: Vec<&str> = runs.iter().map(|r| r.hash.as_str()).collect();
-        files.sort_unstable();
-        files.dedup();
-        for file in files {
+        for file in files(runs) {
             for q in 0..3 {
                 let pieces: Vec<Column> = self
                     .signals
@@ -263,6 +282,14 @@ impl Problem {
             }
         }
     }
+}
+
+/// Files that runs are from, by their hashes.
+fn files<'a>(runs: &[&'a Run]) -> Vec<&'a str> {
+    let mut files: Vec<&str> = runs.iter().map(|r| r.hash.as_str()).collect();
+    files.sort_unstable();
+    files.dedup();
+    files
 }
 
 /// A channel's own kernels may reach a little further than the common ones: the ends are held.

@@ -282,6 +282,7 @@ pub(super) fn rig(s: &mut Section, actuator: Option<&ActuatorParameters>, with_c
         encoder: (0.0, 0.0),
         encoder_speed: false,
         drive_error: (0.0, 0.0),
+        friction_of_day: 0.0,
         from_model,
         assumed,
     })
