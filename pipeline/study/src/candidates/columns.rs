@@ -376,9 +376,11 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             out.linear.push(column);
         }
         EffectKind::SpringLoad => {
-            // where the spring is at ease is not known
             out.linear.push(amplitude(&[1.0]));
-            out.linear.push(vec![Piece::of(Equation::Torque, 0, vec![1.0; s.n])]);
+            // where the spring is at ease is not known; a constant torque that is among the constants says it already
+            if !c.offset {
+                out.linear.push(vec![Piece::of(Equation::Torque, 0, vec![1.0; s.n])]);
+            }
         }
         EffectKind::ControlDelay => {
             let late = |x: &[f64]| shifted(x, -shape[0] * s.rate_hz);

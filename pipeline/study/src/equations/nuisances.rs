@@ -83,6 +83,7 @@ pub fn constants(bench: &Bench, clock: &Clock) -> RigConstants {
         from_position: clock.from_position,
         encoder: rig.encoder,
         drive_error: rig.drive_error,
+        offset: rig.offset != 0.0,
         play: rig.play,
         speed_gain: rig.controller.as_ref().map_or(0.0, |l| l.speed_gain),
     }

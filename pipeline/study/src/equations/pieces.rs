@@ -50,6 +50,8 @@ pub struct RigConstants {
     pub encoder: (f64, f64),
     /// by how much the drive's sensor is off as far as it is known [drive unit], and how many samples it is late
     pub drive_error: (f64, f64),
+    /// a constant torque is among the constants
+    pub offset: bool,
     /// half-width of the play before the user [rad]
     pub play: f64,
     /// of the controller's law [drive unit per rad/s]

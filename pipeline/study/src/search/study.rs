@@ -232,8 +232,9 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     };
     tell("once more, with frictions of each file's own");
     let apart = studied(alike.material.of_days(&begin), tell);
-    // what an effect makes is no friction of a day
-    if apart.material.days_apart(&apart.model) {
+    // what an effect makes is no friction of a day, and what was well without days needs nothing more with them
+    let more = apart.model.terms.len() > alike.model.terms.len() && alike.verdict != Verdict::Unknown;
+    if !more && apart.material.days_apart(&apart.model) {
         apart
     } else {
         alike

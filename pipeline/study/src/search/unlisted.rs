@@ -454,6 +454,15 @@ mod tests {
     }
 
     #[test]
+    fn a_spring_is_found_beside_a_weight_that_is_stated() {
+        let (mut bench, runs) = rig(|_, [_, x, ..]| 0.05 + 0.03 * (x - 0.4));
+        bench.rig.offset = 0.048;
+        let o = study(Material::new(bench, runs, &[]), &|_| {});
+        let names: Vec<_> = o.model.terms.iter().map(|t| t.kind.name()).collect();
+        assert_eq!((names, o.verdict), (vec!["spring_load"], Verdict::Named));
+    }
+
+    #[test]
     fn a_strong_spring_hides_no_friction_that_falls_with_the_speed() {
         let o = studied(|_, [_, x, w, ..]| 2.0 * x + 0.09 * (-w.abs() / 0.6).exp() * w.signum());
         let mut names: Vec<_> = o.model.terms.iter().map(|t| t.kind.name()).collect();
