@@ -452,6 +452,14 @@ fn resampled(time: &[f64], x: &[f64], count: usize, at: impl Fn(usize) -> f64) -
         .collect()
 }
 
+/// Files that runs are from, by their hashes.
+pub fn files<'a>(runs: impl Iterator<Item = &'a Run>) -> Vec<&'a str> {
+    let mut all: Vec<&str> = runs.map(|r| r.hash.as_str()).collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
 /// Least and greatest of values; the wrong way round where there are none.
 pub fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)))

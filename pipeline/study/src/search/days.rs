@@ -1,8 +1,7 @@
 //! Friction that is another one on another day: of each file its own, within what a day makes.
 
-use crate::equations::nuisances::Nuisance;
 use crate::measured::bench::{Bench, Role};
-use crate::measured::recording::{Run, extent};
+use crate::measured::recording::{Run, extent, files};
 use crate::search::fit::Fit;
 use crate::search::select::Material;
 use sim_worker::effect::Equation;
@@ -19,40 +18,32 @@ impl Material {
     /// Whether there are two files whose frictions may differ.
     pub(super) fn has_days(&self) -> bool {
         let used = |r: &&Run| !r.steady && matches!(r.role, Role::Fit | Role::Select | Role::HeldOut);
-        let mut files = self.runs.iter().filter(used).map(|r| &r.hash);
-        let first = files.next();
-        !self.clock.steady && files.any(|f| Some(f) != first)
-    }
-
-    /// The same, with frictions of each file's own, or without.
-    fn by_days(&self, own: bool) -> Self {
-        let mut bench = self.bench.clone();
-        bench.rig.friction_of_day = if own { OF_A_DAY } else { 0.0 };
-        self.again(bench, self.nuisances.clone(), self.excess)
+        !self.clock.steady && files(self.runs.iter().filter(used)).len() > 1
     }
 
     /// Whether a model's files have frictions of their own.
     pub(super) fn days_apart(&self, model: &Fit) -> bool {
-        let [alike, own] = [false, true].map(|own| {
-            let m = self.by_days(own);
-            let fit = m.solve(&model.terms, model.sigma);
-            (m, fit)
-        });
-        told(&own) - told(&alike) > APART && spread(&alike.0, &alike.1) < MOST_APART
-    }
-
-    /// What a study began with, the frictions of each file its own.
-    ///
-    /// * `begin` the study's first equations
-    pub(super) fn of_days(&self, begin: &Begin) -> Self {
-        let mut bench = begin.bench.clone();
-        bench.rig.friction_of_day = OF_A_DAY;
-        self.again(bench, begin.nuisances.clone(), begin.excess)
+        let has_own = self.bench.rig.friction_of_day > 0.0;
+        let other = self.again(
+            by_days(self.bench.clone(), !has_own),
+            self.nuisances.clone(),
+            self.excess,
+        );
+        let (alike, own) = if has_own { (&other, self) } else { (self, &other) };
+        let fit = |m: &Self| m.solve(&model.terms, model.sigma);
+        let (of_alike, of_own) = (fit(alike), fit(own));
+        told(own, &of_own) - told(alike, &of_alike) > APART && spread(alike, &of_alike) < MOST_APART
     }
 }
 
+/// A bench with frictions of each file's own, or without.
+pub(super) fn by_days(mut bench: Bench, own: bool) -> Bench {
+    bench.rig.friction_of_day = if own { OF_A_DAY } else { 0.0 };
+    bench
+}
+
 /// Log-likelihood of a model on all runs.
-fn told((m, fit): &(Material, Fit)) -> f64 {
+fn told(m: &Material, fit: &Fit) -> f64 {
     let (held, e) = (m.held_problem(), Equation::Torque);
     let rows = held.rows_of(e).max(1) as f64;
     let left = held.energy(&m.judged_residual(fit))[e.index()] / rows;
@@ -79,23 +70,6 @@ fn spread(m: &Material, fit: &Fit) -> f64 {
     }
     let (low, high) = extent(of_files.values().map(|(cr, cc)| cr / cc.max(1e-300)));
     high - low
-}
-
-/// What equations are set up from.
-pub(super) struct Begin {
-    bench: Bench,
-    nuisances: Vec<Nuisance>,
-    excess: (f64, f64),
-}
-
-impl Begin {
-    pub(super) fn of(m: &Material) -> Self {
-        Self {
-            bench: m.bench.clone(),
-            nuisances: m.nuisances.clone(),
-            excess: m.excess,
-        }
-    }
 }
 
 #[cfg(test)]

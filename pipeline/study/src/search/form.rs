@@ -6,7 +6,7 @@ use crate::equations::signals::Signals;
 use crate::measured::recording::extent;
 use crate::search::fit::{Fit, MOST_EFFECTS, Term};
 use crate::search::remainder::{Regressor, edges};
-use crate::search::trial::{CLEAR, MOST, Trial, torque_column};
+use crate::search::trial::{CLEAR, MOST, Trial, hat, torque_column};
 use crate::search::unlisted::Unlisted;
 use crate::search::verdict::BEYOND;
 use sim_worker::effect::{EffectKind, Equation};
@@ -50,20 +50,9 @@ impl Hats {
         (knots.len() > 3).then_some(Self { of, signed, knots })
     }
 
-    /// Share of knot `i` in a value.
-    fn hat(&self, i: usize, x: f64) -> f64 {
-        let (at, last) = (self.knots[i], self.knots.len() - 1);
-        let towards = |from: f64| ((x - from) / (at - from)).max(0.0);
-        match x.total_cmp(&at) {
-            std::cmp::Ordering::Less if i > 0 => towards(self.knots[i - 1]),
-            std::cmp::Ordering::Greater if i < last => towards(self.knots[i + 1]),
-            _ => 1.0,
-        }
-    }
-
     fn columns(&self, p: &Problem) -> Vec<Vec<f64>> {
         let signed = |s: &Signals, k: usize| if self.signed { s.sign[k] } else { 1.0 };
-        let of_knot = |i: usize| torque_column(p, |s, k| self.hat(i, self.of.value(s, k)) * signed(s, k));
+        let of_knot = |i: usize| torque_column(p, |s, k| hat(&self.knots, i, self.of.value(s, k)) * signed(s, k));
         (0..self.knots.len()).map(of_knot).collect()
     }
 }
@@ -121,24 +110,6 @@ fn composed(terms: &[Term]) -> bool {
 mod tests {
     use super::*;
     use sim_worker::effect::EffectKind::*;
-
-    #[test]
-    fn hats_add_up_to_one_and_reach_from_knot_to_knot() {
-        let knots = vec![-1.0, 0.0, 0.5, 2.0];
-        let hats = Hats {
-            of: Regressor::Speed,
-            signed: false,
-            knots,
-        };
-        for x in [-3.0, -1.0, -0.3, 0.0, 0.2, 0.5, 1.9, 2.0, 7.0] {
-            let sum: f64 = (0..4).map(|i| hats.hat(i, x)).sum();
-            assert!((sum - 1.0).abs() < 1e-15, "{x}: {sum}");
-        }
-        assert_eq!(
-            [hats.hat(1, -0.25), hats.hat(2, -0.25), hats.hat(0, -0.25)],
-            [0.75, 0.0, 0.25]
-        );
-    }
 
     #[test]
     fn three_of_one_order_or_of_the_place_stand_for_one_law() {

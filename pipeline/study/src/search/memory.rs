@@ -2,12 +2,12 @@
 
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
-use crate::search::trial::torque_columns;
+use crate::search::trial::{hat, torque_columns};
 use sim_worker::effect::Equation;
 
-/// Triangles over the logarithm of the distance.
-const HATS: usize = 6;
-/// Share of the rows that are nearer to a reversal than the first one's middle, and nearer than the last one's (assumed).
+/// Knots over the logarithm of the distance.
+const KNOTS: usize = 6;
+/// Share of the rows that are nearer to a reversal than the first knot, and nearer than the last (assumed).
 const NEAREST: f64 = 0.02;
 const FARTHEST: f64 = 0.9;
 
@@ -27,15 +27,8 @@ fn since(s: &Signals) -> Vec<f64> {
     (0..s.n).map(&mut at).collect()
 }
 
-/// The `j`-th of the triangles whose sum is 1, in equal steps over a range.
-fn hat(j: usize, x: f64, (low, high): (f64, f64)) -> f64 {
-    let last = (HATS - 1) as f64;
-    let at = ((x - low) / (high - low).max(1e-300) * last).clamp(0.0, last);
-    (1.0 - (at - j as f64).abs()).max(0.0)
-}
-
-/// Logarithms of the distances between which a friction is tried out.
-pub fn distances(p: &Problem) -> (f64, f64) {
+/// Logarithms of the distances between which a friction is tried out, in equal steps.
+pub fn distances(p: &Problem) -> Vec<f64> {
     let of_runs: Vec<Vec<f64>> = p.signals.iter().map(since).collect();
     let rows = p.blocks_of(Equation::Torque);
     let mut all: Vec<f64> = rows
@@ -43,14 +36,20 @@ pub fn distances(p: &Problem) -> (f64, f64) {
         .collect();
     all.sort_by(f64::total_cmp);
     let at = |share: f64| all.get((share * all.len() as f64) as usize).copied().unwrap_or(0.0);
-    (at(NEAREST), at(FARTHEST))
+    let (low, high) = (at(NEAREST), at(FARTHEST).max(at(NEAREST) + 1e-9));
+    let step = (high - low) / (KNOTS - 1) as f64;
+    (0..KNOTS).map(|i| low + i as f64 * step).collect()
 }
 
 /// Columns of a dry friction that is another one so far after a reversal.
-pub fn after_reversal(p: &Problem, distances: (f64, f64)) -> Vec<Vec<f64>> {
+///
+/// * `distances` by which it goes straight [ln rad]
+pub fn after_reversal(p: &Problem, distances: &[f64]) -> Vec<Vec<f64>> {
     torque_columns(p, |s| {
         let far = since(s);
-        let of = |j: usize, k: usize| s.sign[k] * hat(j, far[k], distances);
-        (0..HATS).map(|j| (0..s.n).map(|k| of(j, k)).collect()).collect()
+        let of = |i: usize, k: usize| s.sign[k] * hat(distances, i, far[k]);
+        (0..distances.len())
+            .map(|i| (0..s.n).map(|k| of(i, k)).collect())
+            .collect()
     })
 }

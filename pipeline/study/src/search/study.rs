@@ -3,7 +3,7 @@
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::search::beside::{self, Beside};
-use crate::search::days::Begin;
+use crate::search::days::by_days;
 use crate::search::fit::{self, Fit, MOST_EFFECTS, Term};
 use crate::search::form::{self, Strange};
 use crate::search::judge::{LEAST_GAIN, OTHERWISE, SLOW_EXCESS, SLOWEST, Step, TWICE, judged};
@@ -225,13 +225,16 @@ fn untouched(m: &Material, first: &[Nuisance]) -> Fit {
 /// Runs the whole study; `tell` hears what is being done. Where what it leaves differs from file to file as frictions do, once more with
 /// frictions of each file's own.
 pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
-    let begin = material.has_days().then(|| Begin::of(&material));
+    if !material.has_days() {
+        return studied(material, tell);
+    }
+    let (bench, nuisances, excess) = (material.bench.clone(), material.nuisances.clone(), material.excess);
     let alike = studied(material, tell);
-    let Some(begin) = begin.filter(|_| alike.material.days_apart(&alike.model)) else {
+    if !alike.material.days_apart(&alike.model) {
         return alike;
-    };
+    }
     tell("once more, with frictions of each file's own");
-    let apart = studied(alike.material.of_days(&begin), tell);
+    let apart = studied(alike.material.again(by_days(bench, true), nuisances, excess), tell);
     // what an effect makes is no friction of a day, and what was well without days needs nothing more with them
     let more = apart.model.terms.len() > alike.model.terms.len() && alike.verdict != Verdict::Unknown;
     if !more && apart.material.days_apart(&apart.model) {

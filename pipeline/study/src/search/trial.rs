@@ -1,6 +1,6 @@
 //! Columns beside a model: learnt on the fit runs, tried on the held-out ones.
 
-use crate::equations::pieces::Piece;
+use crate::equations::pieces::{Column, Piece};
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::sums::{add, dot};
@@ -24,20 +24,31 @@ pub type Columns<'a> = dyn Fn(&Problem) -> Vec<Vec<f64>> + 'a;
 
 /// Column of a torque at each sample of each run.
 pub fn torque_column(p: &Problem, torque: impl Fn(&Signals, usize) -> f64) -> Vec<f64> {
-    let of = |s: &Signals| vec![Piece::of(Equation::Torque, 0, (0..s.n).map(|k| torque(s, k)).collect())];
-    p.column(&p.signals.iter().map(of).collect::<Vec<_>>())
+    torque_columns(p, |s| vec![(0..s.n).map(|k| torque(s, k)).collect()]).remove(0)
 }
 
-/// Columns of torques, each at every sample of a run, as many in each run.
+/// Columns of several torques, each at every sample of a run; as many in each run.
 pub fn torque_columns(p: &Problem, torques: impl Fn(&Signals) -> Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-    let of_runs: Vec<Vec<Vec<f64>>> = p.signals.iter().map(torques).collect();
-    let count = of_runs.first().map_or(0, Vec::len);
-    let of = |j: usize| -> Vec<Vec<Piece>> {
-        let runs = of_runs.iter();
-        runs.map(|run| vec![Piece::of(Equation::Torque, 0, run[j].clone())])
-            .collect()
-    };
-    (0..count).map(|j| p.column(&of(j))).collect()
+    let mut all: Vec<Vec<Column>> = Vec::new();
+    for s in &p.signals {
+        let each = torques(s);
+        all.resize_with(each.len(), Vec::new);
+        for (pieces, torque) in all.iter_mut().zip(each) {
+            pieces.push(vec![Piece::of(Equation::Torque, 0, torque)]);
+        }
+    }
+    p.columns(&all)
+}
+
+/// Share of knot `i` in a value: straight from knot to knot, and beyond the ends as there.
+pub fn hat(knots: &[f64], i: usize, x: f64) -> f64 {
+    let (at, last) = (knots[i], knots.len() - 1);
+    let towards = |from: f64| ((x - from) / (at - from)).max(0.0);
+    match x.total_cmp(&at) {
+        std::cmp::Ordering::Less if i > 0 => towards(knots[i - 1]),
+        std::cmp::Ordering::Greater if i < last => towards(knots[i + 1]),
+        _ => 1.0,
+    }
 }
 
 /// The rows of the torque that are judged, and what a model leaves of all rows.
@@ -186,5 +197,23 @@ impl<'a> Trial<'a> {
     /// The same without any.
     pub fn left_alone(&self) -> Option<f64> {
         self.left_with(&|_| Vec::new())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hats_add_up_to_one_and_reach_from_knot_to_knot() {
+        let knots = [-1.0, 0.0, 0.5, 2.0];
+        for x in [-3.0, -1.0, -0.3, 0.0, 0.2, 0.5, 1.9, 2.0, 7.0] {
+            let sum: f64 = (0..4).map(|i| hat(&knots, i, x)).sum();
+            assert!((sum - 1.0).abs() < 1e-15, "{x}: {sum}");
+        }
+        assert_eq!(
+            [hat(&knots, 1, -0.25), hat(&knots, 2, -0.25), hat(&knots, 0, -0.25)],
+            [0.75, 0.0, 0.25]
+        );
     }
 }

@@ -320,7 +320,7 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
     try_out(Law::OfPlace, &|p| placed(p, &borders));
     try_out(Law::OfTurn, &|p| turned(m, p));
     let distances = memory::distances(&m.fit);
-    try_out(Law::AfterReversal, &|p| memory::after_reversal(p, distances));
+    try_out(Law::AfterReversal, &|p| memory::after_reversal(p, &distances));
     let explained = (trial.prove.energy(&m.held_residual(retuned)) - left_of).max(0.0);
     let there = |u: &Unlisted| {
         let (least, of_explained) = match u.law {

@@ -167,11 +167,10 @@ pub fn conclude(
     if model.terms.is_empty() {
         // whatever is said of the noise, and whatever its colour: on the runs that find and on those that prove
         let plain = |e: usize| {
-            let over = |p: &Problem, residual: &[f64], energy: f64| {
-                let lasts = p.slow_energy(residual, Equation::ALL[e], SLOW_S);
-                energy > PLAIN * p.sensor_energy(e) && lasts > PLAINLY * slowly(e)
-            };
-            over(&m.fit, &model.residual, model.score.energy[e]) && over(held, &judged, after[e])
+            let over =
+                |p: &Problem, energy: f64, slow: f64| energy > PLAIN * p.sensor_energy(e) && slow > PLAINLY * slowly(e);
+            let slow_of_fit = || m.fit.slow_energy(&model.residual, Equation::ALL[e], SLOW_S);
+            over(held, after[e], slow[e]) && over(&m.fit, model.score.energy[e], slow_of_fit())
         };
         // of a drive that is measured as means nothing is lost between samples
         let torque = Equation::Torque.index();

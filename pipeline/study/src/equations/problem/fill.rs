@@ -6,7 +6,7 @@ use crate::equations::pieces::{Column, Piece, wide};
 use crate::equations::whitener::{Rows, Set};
 use crate::measured::bench::{Bench, BenchChannel};
 use crate::measured::filter::FilterBank;
-use crate::measured::recording::{Run, range};
+use crate::measured::recording::{Run, files, range};
 use crate::measured::samples::moved;
 use sim_worker::effect::Equation;
 
@@ -234,11 +234,11 @@ impl Problem {
             return;
         }
         let sizes = [rig.coulomb.value, rig.viscous.value];
-        for (column, _) in frictions.into_iter().zip(sizes).filter(|(_, size)| *size > 0.0) {
-            let Some(column) = column else { continue };
-            for file in files(runs) {
+        let seen = frictions.into_iter().zip(sizes).filter(|(_, size)| *size > 0.0);
+        for column in seen.filter_map(|(column, _)| column) {
+            for file in files(runs.iter().copied()) {
                 let mut own = vec![0.0; self.rows];
-                for b in self.blocks.iter().filter(|b| runs[b.run].hash == file) {
+                for b in self.blocks.iter().filter(|b| self.files[b.run] == file) {
                     own[b.rows.clone()].copy_from_slice(&self.base[column][b.rows.clone()]);
                 }
                 self.add_local(own, Some(rig.friction_of_day));
@@ -255,7 +255,7 @@ impl Problem {
             return;
         };
         let (r, ke) = (0.5 * bench.rig.resistance.value, 0.5 * bench.rig.drive_constant.value);
-        for file in files(runs) {
+        for file in files(runs.iter().copied()) {
             for q in 0..3 {
                 let pieces: Vec<Column> = self
                     .signals
@@ -282,14 +282,6 @@ impl Problem {
             }
         }
     }
-}
-
-/// Files that runs are from, by their hashes.
-fn files<'a>(runs: &[&'a Run]) -> Vec<&'a str> {
-    let mut files: Vec<&str> = runs.iter().map(|r| r.hash.as_str()).collect();
-    files.sort_unstable();
-    files.dedup();
-    files
 }
 
 /// A channel's own kernels may reach a little further than the common ones: the ends are held.
