@@ -28,6 +28,9 @@ struct Motor {
 /// Steps of the integration in a sample, and samples a second.
 const STEPS: usize = 50;
 const RATE_HZ: f64 = 1000.0;
+/// Counts of the second encoder, a turn.
+const GEAR_COUNTS: f64 = 4096.0;
+const VOLTAGE: &str = "voltage = { column = \"voltage\", unit = \"V\", sampling = \"mean\", noise = 0.01 }\n";
 
 /// Noise of rms 1, even.
 fn noise(rng: &mut ChaCha8Rng) -> f64 {
@@ -61,7 +64,7 @@ impl Motor {
             .collect();
         let h = 1.0 / (RATE_HZ * STEPS as f64);
         let (mut i, mut w, mut theta) = (0.0_f64, 0.0_f64, 0.0_f64);
-        let mut csv = String::from("t,angle,current,voltage\n");
+        let mut csv = String::from("t,angle,current,voltage,gear\n");
         let mut step = 0.0;
         let (mut load_theta, mut load_w) = (0.0_f64, 0.0_f64);
         for k in 0..(duration_s * RATE_HZ) as usize {
@@ -97,21 +100,20 @@ impl Motor {
             let angle = (seen / TAU * self.counts).floor() / self.counts * 360.0;
             let (a, b) = (0.01 * noise(&mut rng), 0.01 * noise(&mut rng));
             let t = (k + 1) as f64 / RATE_HZ;
-            writeln!(csv, "{t:.4},{angle},{},{}", mean_i + a, mean_v + b).unwrap();
+            // a second encoder, on the motor's side of the spring
+            let gear = (theta / TAU * GEAR_COUNTS).floor() / GEAR_COUNTS * 360.0;
+            writeln!(csv, "{t:.4},{angle},{},{},{gear}", mean_i + a, mean_v + b).unwrap();
         }
         csv
     }
 
     /// Two runs and their bench, whose constants are a little off.
     fn bench(&self, dir: &Path) -> PathBuf {
-        self.bench_with(
-            dir,
-            "voltage = { column = \"voltage\", unit = \"V\", sampling = \"mean\", noise = 0.01 }\n",
-        )
+        self.bench_with(dir, VOLTAGE)
     }
 
-    /// * `voltage` the line of that channel
-    fn bench_with(&self, dir: &Path, voltage: &str) -> PathBuf {
+    /// * `more` lines of further channels
+    fn bench_with(&self, dir: &Path, more: &str) -> PathBuf {
         for (name, seed) in [("fit", 1), ("proof", 2)] {
             std::fs::write(dir.join(format!("{name}.csv")), self.recorded(seed, 20.0)).unwrap();
         }
@@ -125,7 +127,7 @@ impl Motor {
              time = {{ column = \"t\", unit = \"s\" }}\n\
              position = {{ column = \"angle\", unit = \"deg\", resolution = {} }}\n\
              current = {{ column = \"current\", unit = \"A\", sampling = \"mean\", noise = 0.01 }}\n\
-             {voltage}\
+             {more}\
              [[run]]\nfile = \"fit.csv\"\nrole = \"fit\"\nhealth = \"healthy\"\n\
              [[run]]\nfile = \"proof.csv\"\nrole = \"heldout\"\nhealth = \"healthy\"\n",
             1.01 * self.torque_constant,
@@ -179,7 +181,7 @@ fn prop_the_voltage_that_a_bridge_loses_is_not_the_windings() {
     holds(&f, "inductance", motor.inductance, 0.06);
 }
 
-/// Nothing but the torque shows it: the recording has no second angle.
+/// Nothing but the torque shows it: the recording has no second angle, or one on the motor's side of the spring.
 #[test]
 fn prop_a_load_on_its_spring_is_heard_in_the_torque() {
     let (stiffness, damping, load) = (0.7, 4e-4, 2e-5);
@@ -188,13 +190,22 @@ fn prop_a_load_on_its_spring_is_heard_in_the_torque() {
         spring: Some((stiffness, damping, load)),
         ..Motor::new(0.0)
     };
-    let f = studied(|dir| motor.bench(dir));
-    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
-    assert_eq!(names, ["compliance"], "{}", f.sentence);
-    for (p, truth) in f.effects[0].parameters.iter().zip([stiffness, damping, load]) {
-        assert!((p.value / truth - 1.0).abs() < 0.1, "{truth}: {p:?}");
+    // a second angle before the spring turns with the motor, and is told as such
+    let gear = format!(
+        "user_position = {{ column = \"gear\", unit = \"deg\", resolution = {} }}\n",
+        360.0 / GEAR_COUNTS
+    );
+    for (more, before) in [("", false), (gear.as_str(), true)] {
+        let f = studied(|dir| motor.bench_with(dir, &format!("{VOLTAGE}{more}")));
+        let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!(names, ["compliance"], "{}", f.sentence);
+        for (p, truth) in f.effects[0].parameters.iter().zip([stiffness, damping, load]) {
+            assert!((p.value / truth - 1.0).abs() < 0.1, "{truth}: {p:?}");
+        }
+        holds(&f, "inertia", motor.inertia, 0.05);
+        let told = f.assumptions.iter().any(|a| a.contains("beyond the user's sensor"));
+        assert_eq!(told, before, "{:?}", f.assumptions);
     }
-    holds(&f, "inertia", motor.inertia, 0.05);
 }
 
 /// One angle and one current: the torque that the motion takes shows what the angle has too much.

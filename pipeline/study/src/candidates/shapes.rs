@@ -2,7 +2,7 @@
 
 use crate::candidates::bristles::STATIC;
 use crate::candidates::phases::{BRIDGED, LEGS};
-use crate::candidates::springs::BY_TORQUE;
+use crate::candidates::springs::{self, BY_TORQUE};
 use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
 use crate::measured::filter::FilterBank;
@@ -15,17 +15,43 @@ pub fn has_order(kind: EffectKind) -> bool {
     kind.keys().iter().any(|k| k.name == "order")
 }
 
+/// From one to another in equal steps of the logarithm.
+fn log(from: f64, to: f64, n: usize) -> Vec<f64> {
+    (0..n)
+        .map(|i| from * (to / from).powf(i as f64 / (n - 1) as f64))
+        .collect()
+}
+
+/// Springs to start from that only the torque shows: a resonance is as narrow as its damping.
+pub fn unseen_springs(runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
+    let (low, high) = extent(runs.iter().flat_map(|r| &r.theta).copied());
+    if low == high {
+        return vec![];
+    }
+    let rate = runs[0].rate_hz;
+    let of = |f: &f64, dull: f64| {
+        [0.15, 0.35, 0.6].map(|share| {
+            let [stiffness, damping, inertia] = tuned(*f, share * c.inertia);
+            springs::by_torque([stiffness, dull * damping, inertia])
+        })
+    };
+    let mut out: Vec<Vec<f64>> = log(0.004 * rate, 0.09 * rate, 14)
+        .iter()
+        .flat_map(|f| of(f, 1.0))
+        .collect();
+    // torques that are on time show a dull one, and one that is faster
+    if runs.iter().all(Signals::on_time) {
+        out.extend(log(0.02 * rate, 0.15 * rate, 6).iter().flat_map(|f| of(f, DULL)));
+    }
+    out
+}
+
 /// Shapes to start from for a kind, over the range of the signals of the fit runs.
 pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
     let all = |f: fn(&Signals) -> &Vec<f64>| runs.iter().flat_map(move |r| f(r).iter().copied());
     let (low, high) = extent(all(|s| &s.theta));
     let fastest = all(|s| &s.omega).fold(0.0, |a: f64, x| a.max(x.abs()));
     let stroke = high - low;
-    let log = |from: f64, to: f64, n: usize| -> Vec<f64> {
-        (0..n)
-            .map(|i| from * (to / from).powf(i as f64 / (n - 1) as f64))
-            .collect()
-    };
     let one = |v: Vec<f64>| -> Vec<Vec<f64>> { v.into_iter().map(|x| vec![x]).collect() };
     match kind {
         // without an angle nothing goes with it
@@ -77,25 +103,6 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
                 [vec![g, 1e6, 0.0]].into_iter().chain(slow)
             };
             gaps.iter().flat_map(of).collect()
-        }
-        // a resonance that only the torque shows is as narrow as its damping
-        EffectKind::Compliance if runs.iter().all(|r| r.user.is_none()) => {
-            let rate = runs[0].rate_hz;
-            let of = |f: &f64, dull: f64| {
-                [0.15, 0.35, 0.6].map(|share| {
-                    let [stiffness, damping, inertia] = tuned(*f, share * c.inertia);
-                    vec![stiffness, dull * damping, inertia, BY_TORQUE]
-                })
-            };
-            let mut out: Vec<Vec<f64>> = log(0.004 * rate, 0.09 * rate, 14)
-                .iter()
-                .flat_map(|f| of(f, 1.0))
-                .collect();
-            // torques that are on time show a dull one, and one that is faster
-            if runs.iter().all(Signals::on_time) {
-                out.extend(log(0.02 * rate, 0.15 * rate, 6).iter().flat_map(|f| of(f, DULL)));
-            }
-            out
         }
         EffectKind::Compliance => {
             let rate = runs[0].rate_hz;
@@ -289,7 +296,7 @@ fn all_scales(kind: EffectKind) -> &'static [Option<bool>] {
         EffectKind::TightSpot => &[LIN, LOG],
         EffectKind::PeriodicFriction | EffectKind::Cogging | EffectKind::TorqueRipple => &[LIN],
         EffectKind::CommutationOffset => &[LIN, None],
-        EffectKind::Compliance => &[LOG, LOG, LOG, None],
+        EffectKind::Compliance => &[LOG, LOG, LOG, None, None],
         EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::SupplySag => &[None],
         EffectKind::TurnShort => &[None, None],
         EffectKind::WindingHeating => &[None, LOG],
@@ -314,7 +321,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         EffectKind::Backlash => vec![(1e-7 * stroke, stroke), (1e-3, 1e7), (0.0, 1e9), (0.0, 0.8)],
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
-        EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9), (0.0, BY_TORQUE)],
+        EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9), (0.0, BY_TORQUE), (0.0, 1.0)],
         EffectKind::WindingHeating => vec![(0.0, 2.0), (0.02, 1e3)],
         EffectKind::SupplySag => vec![(0.0, LEGS)],
         EffectKind::TurnShort => vec![(0.0, 2.0), (0.0, BRIDGED)],

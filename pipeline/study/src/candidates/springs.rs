@@ -3,12 +3,30 @@
 use crate::candidates::columns::{Contribution, drive};
 use crate::candidates::loads::{Shaken, Spring, released};
 use crate::equations::pieces::{Column, Piece, RigConstants, wide};
+use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::samples::sharpened;
 use sim_worker::effect::Equation;
 
 /// Fourth shape parameter of a spring that the torque drives, not the measured motion.
 pub const BY_TORQUE: f64 = 1.0;
+/// Fifth shape parameter of a spring beyond the user's sensor, which turns with the motor.
+const BEYOND: f64 = 1.0;
+
+/// Whether a second sensor sees a load on its spring.
+pub fn is_seen(p: &Problem, shape: &[f64]) -> bool {
+    p.rows_of(Equation::Transmission) > 0 && !is_beyond(shape)
+}
+
+/// Whether a load on its spring lies beyond the user's sensor, or there is none.
+pub fn is_beyond(shape: &[f64]) -> bool {
+    shape.get(4) == Some(&BEYOND)
+}
+
+/// The shape of a spring that only the torque shows.
+pub(super) fn by_torque([stiffness, damping, inertia]: [f64; 3]) -> Vec<f64> {
+    vec![stiffness, damping, inertia, BY_TORQUE, BEYOND]
+}
 
 /// Angle [rad] and speed [rad/s] of the load less the motor's.
 type Swings = (Vec<f64>, Vec<f64>);
@@ -24,7 +42,7 @@ pub fn resonance(shape: &[f64], inertia: f64) -> (f64, f64) {
 
 /// What a load on its spring would add.
 ///
-/// * `shape` stiffness, damping, inertia of the load, and [`BY_TORQUE`] where the torque drives it
+/// * `shape` stiffness, damping, inertia of the load, [`BY_TORQUE`] where the torque drives it, and whether it [`is_beyond`]
 pub(super) fn contribution(shape: &[f64], s: &Signals, c: &RigConstants) -> Contribution {
     let (stiffness, damping, inertia, rate_hz) = (shape[0], shape[1], shape[2], s.rate_hz);
     if shape.get(3) == Some(&BY_TORQUE) {
@@ -56,7 +74,7 @@ pub(super) fn contribution(shape: &[f64], s: &Signals, c: &RigConstants) -> Cont
             means,
         };
         // what is no friction of the motor is left to its torque
-        return columns(inertia, s, c, |load, moved| spring.swings(load, moved));
+        return columns(shape, s, c, |load, moved| spring.swings(load, moved));
     }
     let (motion, speed) = (sharpened(&s.theta, s.smooth), sharpened(&s.omega, s.smooth));
     let spring = Spring {
@@ -67,24 +85,32 @@ pub(super) fn contribution(shape: &[f64], s: &Signals, c: &RigConstants) -> Cont
         motion: &motion,
         speed: &speed,
     };
-    let start = released(s, &spring);
-    columns(inertia, s, c, |load, _| spring.swings(start, load, s.n))
+    let start = if is_beyond(shape) {
+        (0.0, 0.0)
+    } else {
+        released(s, &spring)
+    };
+    columns(shape, s, c, |load, _| spring.swings(start, load, s.n))
 }
 
-/// The columns of a load of that inertia.
+/// The columns of a load on its spring.
 ///
 /// * `swings` under a torque against the load, given with what of it was friction of the motor [N m]
-fn columns(inertia: f64, s: &Signals, c: &RigConstants, swings: impl Fn(&[f64], &[f64]) -> Swings) -> Contribution {
+fn columns(shape: &[f64], s: &Signals, c: &RigConstants, swings: impl Fn(&[f64], &[f64]) -> Swings) -> Contribution {
     let mut out = Contribution::default();
+    let seen = !is_beyond(shape);
     // torque drives the common centre of both masses, from which the motor is off by the load's share of the inertia
-    let behind = -inertia / c.inertia.max(1e-15);
+    let behind = -shape[2] / c.inertia.max(1e-15);
     let pieces = |(deflection, slip): Swings| -> Column {
         let share = |x: &[f64]| x.iter().map(|x| behind * x).collect();
-        vec![
+        let mut all = vec![
             Piece::of(Equation::Kinematic, 0, share(&deflection)),
             Piece::of(Equation::Kinematic, 1, share(&slip)),
-            Piece::of(Equation::Transmission, 0, deflection),
-        ]
+        ];
+        if seen {
+            all.push(Piece::of(Equation::Transmission, 0, deflection));
+        }
+        all
     };
     let base = swings(&s.load, &vec![0.0; s.n]);
     // drag and dry friction behind the spring, as a share of what there is in all
@@ -97,7 +123,7 @@ fn columns(inertia: f64, s: &Signals, c: &RigConstants, swings: impl Fn(&[f64], 
         out.linear.push(pieces((x, w)));
     }
     // the play follows the load, not the motor
-    if c.play > 0.0 {
+    if c.play > 0.0 && seen {
         let load: Vec<f64> = s.theta.iter().zip(&base.0).map(|(t, d)| t + d).collect();
         let (with, without) = (s.played(&load, c.play), s.played(&s.theta, c.play));
         let lags = with.iter().zip(&load).zip(without.iter().zip(&s.theta));

@@ -385,11 +385,6 @@ impl Problem {
         self.blocks_of(e).map(|b| b.rows.len()).sum()
     }
 
-    /// Whether a second sensor sees the load.
-    pub fn sees_user(&self) -> bool {
-        self.rows_of(Equation::Transmission) > 0
-    }
-
     /// Samples in a row of the torque equation.
     pub fn group(&self) -> usize {
         self.mechanics.group()

@@ -248,7 +248,7 @@ fn twice(m: &Material, model: &Fit, next: &Fit) -> bool {
 /// Whether a new spring in the transmission leaves most of what is off there: what it adds to the torque alone may be
 /// another inertia, another friction.
 fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
-    if !sprung(model, next) || !m.fit.sees_user() {
+    if !sprung(m, model, next, true) {
         return false;
     }
     let e = Equation::Transmission.index();
@@ -258,7 +258,7 @@ fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
 
 /// Whether a new spring that no second sensor sees is hardly heard in the torque.
 fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
-    if !sprung(model, next) || m.fit.sees_user() {
+    if !sprung(m, model, next, false) {
         return false;
     }
     let e = Equation::Torque;
@@ -273,10 +273,10 @@ fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
     after > (1.0 - LEAST_HEARD) * before || next.terms.iter().any(dull)
 }
 
-/// Whether a spring is new in a model.
-fn sprung(model: &Fit, next: &Fit) -> bool {
-    let new = &next.terms[model.terms.len()..];
-    new.iter().any(|t| t.kind == EffectKind::Compliance)
+/// Whether a spring is new in a model, with its load seen by a second sensor or not.
+fn sprung(m: &Material, model: &Fit, next: &Fit, seen: bool) -> bool {
+    let mut new = next.terms[model.terms.len()..].iter();
+    new.any(|t| t.kind == EffectKind::Compliance && springs::is_seen(&m.fit, &t.shape) == seen)
 }
 
 pub(super) const OTHERWISE: &str = "the load behind spring or play does something that the list does not have";

@@ -21,7 +21,7 @@ impl Material {
         let driven = |t: &mut Term| {
             let by_torque = t.kind == EffectKind::Compliance && t.shape.get(3) == Some(&BY_TORQUE);
             if by_torque {
-                t.shape.truncate(3);
+                t.shape[3] = 0.0;
             }
             by_torque
         };

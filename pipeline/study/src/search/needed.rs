@@ -2,6 +2,7 @@
 
 use crate::candidates::bristles::breaks_away;
 use crate::candidates::columns::{self, Form};
+use crate::candidates::springs::is_seen;
 use crate::measured::bench::BenchChannel;
 use crate::search::fit::{self, Fit, Term};
 use crate::search::intervals;
@@ -73,7 +74,7 @@ pub(super) fn vague(m: &Material, model: &Fit) -> Option<usize> {
         let of_speed = matches!(e.kind, EffectKind::LubricatedRise | EffectKind::Stribeck);
         let turning = bristles && of_speed && size < LEAST_BESIDE_BRISTLES * m.constants.effect.coulomb;
         // a spring that only the torque shows is there if it is known how stiff it is
-        let unseen = e.kind == EffectKind::Compliance && m.fit.on_time() && !m.fit.sees_user();
+        let unseen = e.kind == EffectKind::Compliance && m.fit.on_time() && !is_seen(&m.fit, &model.terms[t].shape);
         turning || linear && (half > NOTHING || half > most && !needed()) || unseen && half > VAGUE_SPRING
     })
 }

@@ -2,7 +2,7 @@
 
 use crate::candidates::columns::{self, Form};
 use crate::candidates::shapes;
-use crate::candidates::springs::resonance;
+use crate::candidates::springs::{is_seen, resonance};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
@@ -10,6 +10,7 @@ use crate::measured::sums::{add, dot};
 use crate::search::fit::{Assembled, Regressor, Score, Term, log_likelihood};
 use crate::search::shadow::{Cast, Shadow};
 use crate::search::spectrum;
+use crate::search::verdict::WORTH;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use sim_worker::effect::{EffectKind, Equation};
@@ -248,11 +249,15 @@ impl<'a> Scan<'a> {
 
     /// The best shape of a kind: over its grid, then refined.
     pub fn best(&self, kind: EffectKind) -> Option<(Term, Score)> {
-        let unseen = kind == EffectKind::Compliance && !self.problem.sees_user();
+        let unseen = kind == EffectKind::Compliance && !self.bends();
         if unseen && !self.heard() {
             return None;
         }
-        let mut shapes = shapes::grid(kind, &self.problem.signals, self.constants);
+        let mut shapes = if unseen {
+            shapes::unseen_springs(&self.problem.signals, self.constants)
+        } else {
+            shapes::grid(kind, &self.problem.signals, self.constants)
+        };
         if let Some(orders) = &self.orders.get(&kind) {
             shapes.extend(orders.iter().map(|n| vec![*n]));
             shapes.extend(self.few_periods());
@@ -431,9 +436,15 @@ impl<'a> Scan<'a> {
                 sides.iter().all(|s| *s > FALLS_AGAIN) && sides.iter().any(|s| *s > WHOLE_SIDE)
             }
             k if shapes::has_order(k) => shape[0] * (high - low) > LEAST_PERIODS * std::f64::consts::TAU,
-            EffectKind::Compliance if !self.problem.sees_user() => self.resounds(shape),
+            EffectKind::Compliance if !is_seen(self.problem, shape) => self.resounds(shape),
             _ => true,
         }
+    }
+
+    /// Whether a second sensor sees the load elsewhere than the motor: else it turns with the motor, and a spring is beyond it.
+    fn bends(&self) -> bool {
+        let e = Equation::Transmission;
+        self.problem.rows_of(e) > 0 && self.none.energy[e.index()] >= WORTH * self.problem.sensor_energy(e.index())
     }
 
     /// Whether more is left of the torque than its noise, so that a spring can be heard in it.

@@ -1,5 +1,6 @@
 //! The study: re-tune, rank, add, prove on held-out data, stop, and say how it ended.
 
+use crate::candidates::springs::is_seen;
 use crate::equations::nuisances::Nuisance;
 use crate::equations::problem::Problem;
 use crate::search::beside::{self, Beside};
@@ -438,7 +439,7 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
         // a spring that only the torque shows makes the strongest torques no worse, though these are not what proves it
         let spoils = |t: &Term, w: &Fit| {
             let e = Equation::Torque.index();
-            t.kind == EffectKind::Compliance && !held.sees_user() && all[e] > energy(w)[e]
+            t.kind == EffectKind::Compliance && !is_seen(held, &t.shape) && all[e] > energy(w)[e]
         };
         let each = model.terms.iter().zip(&without);
         let gains: Vec<f64> = each.map(|(t, w)| if spoils(t, w) { 0.0 } else { gain(w) }).collect();

@@ -79,7 +79,7 @@ pub fn findings(o: &Outcome, model_file: &str) -> Findings {
         traces: places::traces(o),
         facts: facts(o, &closed),
         closed_loop: closed,
-        assumptions: assumptions(m),
+        assumptions: assumptions(m, &o.model),
         ..Findings::default()
     };
     let used = m

@@ -1,13 +1,15 @@
 //! The sentences and lists of a study.
 
+use crate::candidates::springs::is_beyond;
 use crate::measured::bench::BenchChannel;
 use crate::search::closed_loop::ClosedLoop;
+use crate::search::fit::{Fit, Term};
 use crate::search::form::Strange;
 use crate::search::select::Material;
 use crate::search::study::Outcome;
 use crate::search::verdict::Verdict;
 use crate::told::findings::*;
-use sim_worker::effect::Equation;
+use sim_worker::effect::{EffectKind, Equation};
 
 pub(super) fn missing(m: &Material) -> Vec<(String, String)> {
     use BenchChannel as C;
@@ -170,7 +172,7 @@ pub(super) fn facts(o: &Outcome, closed: &[ClosedLoop]) -> Vec<(String, String)>
 /// Share of the inductance that sampling leaves open from which it is said (assumed).
 const MUCH_BETWEEN: f64 = 0.1;
 
-pub(super) fn assumptions(m: &Material) -> Vec<String> {
+pub(super) fn assumptions(m: &Material, model: &Fit) -> Vec<String> {
     let mut out = vec![
         "sensors: gain 0.6 %, offset of the drive 0.2 % of its range, clocks 15 % of a sample apart, those of current and voltage 3 % (one sigma)".to_string(),
         "an effect is taken for a gain of 12 in log-likelihood beyond what its parameters cost, data that did not fix its amplitudes and get better in 97.5 % of block draws, and 30 % of what is left explained; held-out data, seen once, prove it".to_string(),
@@ -190,6 +192,12 @@ pub(super) fn assumptions(m: &Material) -> Vec<String> {
             "what current and voltage do between their samples leaves the inductance open by {:.0} % (one sigma): a voltage recorded as means would say more",
             100.0 * t
         ));
+    }
+    let beyond = |t: &Term| t.kind == EffectKind::Compliance && is_beyond(&t.shape);
+    if m.fit.rows_of(Equation::Transmission) > 0 && model.terms.iter().any(beyond) {
+        out.push(
+            "the load on its spring lies beyond the user's sensor, which turns with the motor as far as its noise lets see".into(),
+        );
     }
     let of_day = m.bench.rig.friction_of_day;
     if of_day > 0.0 {
