@@ -5,6 +5,7 @@ use ema_study::told::findings::Findings;
 use pipeline::discrepancy::{Request, study_file};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use sim_worker::effect::COPPER_PER_K;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,6 +19,10 @@ struct Motor {
     coulomb: f64,
     viscous: f64,
     dead_time: f64,
+    /// how much warmer than the bench says the winding is [K]
+    warmer: f64,
+    /// what the current's sensor shows too much [A]
+    offset: f64,
     /// of the encoder, a turn, and how far it is out of centre [rad]
     counts: f64,
     out_of_centre: f64,
@@ -47,6 +52,8 @@ impl Motor {
             coulomb: 0.03,
             viscous: 1e-4,
             dead_time,
+            warmer: 0.0,
+            offset: 0.0,
             counts: 8192.0,
             out_of_centre: 0.0,
             spring: None,
@@ -67,6 +74,7 @@ impl Motor {
         let mut csv = String::from("t,angle,current,voltage,gear\n");
         let mut step = 0.0;
         let (mut load_theta, mut load_w) = (0.0_f64, 0.0_f64);
+        let resistance = self.resistance * (1.0 + COPPER_PER_K * self.warmer);
         for k in 0..(duration_s * RATE_HZ) as usize {
             if k % 37 == 0 {
                 step = rng.random_range(-1.5..1.5);
@@ -76,7 +84,7 @@ impl Motor {
                 let t = k as f64 / RATE_HZ + s as f64 * h;
                 let v = step + sines.iter().map(|(hz, a, p)| a * (TAU * hz * t + p).sin()).sum::<f64>();
                 let lost = self.dead_time * (i / 0.02).tanh();
-                i += h * (v - lost - self.resistance * i - self.torque_constant * w) / self.inductance;
+                i += h * (v - lost - resistance * i - self.torque_constant * w) / self.inductance;
                 let mut push = self.torque_constant * i - self.viscous * w;
                 let mut inertia = self.inertia;
                 if let Some((stiffness, damping, load)) = self.spring {
@@ -102,7 +110,7 @@ impl Motor {
             let t = (k + 1) as f64 / RATE_HZ;
             // a second encoder, on the motor's side of the spring
             let gear = (theta / TAU * GEAR_COUNTS).floor() / GEAR_COUNTS * 360.0;
-            writeln!(csv, "{t:.4},{angle},{},{},{gear}", mean_i + a, mean_v + b).unwrap();
+            writeln!(csv, "{t:.4},{angle},{},{},{gear}", mean_i + self.offset + a, mean_v + b).unwrap();
         }
         csv
     }
@@ -117,11 +125,13 @@ impl Motor {
         for (name, seed) in [("fit", 1), ("proof", 2)] {
             std::fs::write(dir.join(format!("{name}.csv")), self.recorded(seed, 20.0)).unwrap();
         }
+        // a winding that is warmer than it is said to be is one whose resistance is known
+        let (of_resistance, trust) = if self.warmer > 0.0 { (1.003, 0.005) } else { (1.05, 0.1) };
         let text = format!(
             "[rig]\nkind = \"rotary\"\ndrive = \"current\"\n\
              drive_constant = {{ value = {}, unit = \"N m/A\", trust = 0.02 }}\n\
              inertia = {{ value = {}, unit = \"kg m2\", trust = 0.2 }}\n\
-             resistance = {{ value = {}, unit = \"ohm\", trust = 0.1 }}\n\
+             resistance = {{ value = {}, unit = \"ohm\", trust = {trust} }}\n\
              inductance = {{ value = {}, unit = \"H\", trust = 0.2 }}\n\
              [channels]\n\
              time = {{ column = \"t\", unit = \"s\" }}\n\
@@ -132,7 +142,7 @@ impl Motor {
              [[run]]\nfile = \"proof.csv\"\nrole = \"heldout\"\nhealth = \"healthy\"\n",
             1.01 * self.torque_constant,
             0.92 * self.inertia,
-            1.05 * self.resistance,
+            of_resistance * self.resistance,
             0.9 * self.inductance,
             360.0 / self.counts,
         );
@@ -179,6 +189,39 @@ fn prop_the_voltage_that_a_bridge_loses_is_not_the_windings() {
     let voltage = &f.effects[0].parameters[0];
     assert!(voltage.lo <= 0.4 && 0.4 <= voltage.hi, "{voltage:?}");
     holds(&f, "inductance", motor.inductance, 0.06);
+}
+
+/// A winding that is warm from the beginning to the end is another resistance than is known.
+#[test]
+fn prop_a_winding_that_is_warm_all_the_time_is_no_bridge() {
+    let motor = Motor {
+        warmer: 60.0,
+        ..Motor::new(0.0)
+    };
+    let f = studied(|dir| motor.bench(dir));
+    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!(names, ["winding_heating"], "{}", f.sentence);
+    let warmer = &f.effects[0].parameters[0];
+    assert!(warmer.lo <= 60.0 && 60.0 <= warmer.hi, "{warmer:?}");
+    assert!((warmer.value / 60.0 - 1.0).abs() < 0.1, "{warmer:?}");
+}
+
+/// What a bridge loses goes by the current that flows, not by the one that is shown.
+#[test]
+fn prop_a_bridge_beside_an_offset_of_the_current() {
+    let motor = Motor {
+        offset: 0.4,
+        ..Motor::new(0.4)
+    };
+    let f = studied(|dir| motor.bench(dir));
+    let mut names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
+    names.sort_unstable();
+    assert_eq!(names, ["current_offset", "dead_time"], "{}", f.sentence);
+    for (name, truth) in [("current_offset", 0.4), ("dead_time", 0.4)] {
+        let effect = f.effects.iter().find(|e| e.name == name).unwrap();
+        let p = &effect.parameters[0];
+        assert!((p.value / truth - 1.0).abs() < 0.05, "{name} {p:?}");
+    }
 }
 
 /// Nothing but the torque shows it: the recording has no second angle, or one on the motor's side of the spring.

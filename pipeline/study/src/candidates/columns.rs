@@ -4,7 +4,7 @@
 use crate::candidates::bristles::{STATIC, breaks_away, dahl};
 use crate::candidates::loads::loose;
 use crate::candidates::phases::{BRIDGED, LEGS, of_phases};
-use crate::candidates::shapes::SQUARE;
+use crate::candidates::shapes::{SQUARE, WARM};
 use crate::candidates::springs;
 use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants};
@@ -225,10 +225,13 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             if !c.motor => {}
         EffectKind::LoadDependentFriction if !s.has_load => {}
         EffectKind::TemperatureDependentFriction if s.temperature.is_none() => {}
-        EffectKind::WindingHeating if s.temperature.is_none() => {
-            // amplitude 1: a kelvin at the warmest of a run, by time or by the losses
+        EffectKind::WindingHeating if s.temperature.is_none() || shape == [WARM] => {
+            // amplitude 1: a kelvin at the warmest of a run, by time or by the losses, or all the time
             if s.voltage.is_some() && c.measured_current {
-                let warmth = warmth(s, shape[0] > 1.5, shape.get(1).copied().unwrap_or(1e3));
+                let warmth = match shape {
+                    [WARM] => vec![1.0; s.n],
+                    _ => warmth(s, shape[0] > 1.5, shape.get(1).copied().unwrap_or(1e3)),
+                };
                 let signal = (0..s.n).map(|k| c.effect.resistance * effect::COPPER_PER_K * warmth[k] * s.drive[k]);
                 out.linear
                     .push(vec![Piece::of(Equation::Electrical, 0, signal.collect())]);
@@ -249,7 +252,8 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         EffectKind::DeadTime => {
             if s.voltage.is_some() && c.measured_current {
                 // how sharply it turns over with the current depends on the bridge and the ripple
-                let signal = s.drive.iter().map(|i| (i / shape[0]).tanh()).collect();
+                let offset = c.drive_error.0;
+                let signal = s.drive.iter().map(|i| ((i - offset) / shape[0]).tanh()).collect();
                 out.linear.push(vec![Piece::of(Equation::Electrical, 0, signal)]);
             }
         }
@@ -497,7 +501,7 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
             let shape = std::iter::once(coulomb / v[0]).chain(law);
             (shape.collect(), vec![v[1]])
         }
-        Form::Heating if hottest <= 0.0 => (vec![1.0], vec![v[0]]),
+        Form::Heating if hottest <= 0.0 => (vec![WARM], vec![v[0]]),
         Form::Heating => (vec![0.0], vec![v[0] / hottest.max(1e-9)]),
     }
 }

@@ -1,6 +1,7 @@
 //! Effects that three measured phases tell apart: what each would add to the torque and to the equations of the phases.
 
 use crate::candidates::columns::drive;
+use crate::candidates::shapes::WARM;
 use crate::equations::phases::{Of, Phases, SUPPLY};
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::Signals;
@@ -162,8 +163,7 @@ pub fn of_phases(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstants)
                 phase: Some(SUPPLY),
             }]]
         }
-        EffectKind::WindingHeating if p.voltage.is_some() && s.temperature.is_none() => {
-            // a winding that is warm from the beginning on
+        EffectKind::WindingHeating if p.voltage.is_some() && shape == [WARM] => {
             vec![voltages(&|q, k| r * effect::COPPER_PER_K * p.current[q][k])]
         }
         EffectKind::CurrentOffset => {

@@ -152,18 +152,20 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
         EffectKind::CurrentOffset => one(vec![0.0]),
         // of all three at once it is all constants together
         EffectKind::CurrentGain if runs.iter().all(|r| r.phases.is_some()) => one(vec![0.0, 1.0, 2.0]),
-        EffectKind::WindingHeating if runs.iter().all(|r| r.temperature.is_some()) => one(vec![0.0]),
-        EffectKind::WindingHeating if runs.iter().all(|r| r.phases.is_some()) => one(vec![1.0]),
+        EffectKind::WindingHeating if runs.iter().all(|r| r.phases.is_some()) => one(vec![WARM]),
+        EffectKind::WindingHeating if runs.iter().all(|r| r.temperature.is_some()) => one(vec![0.0, WARM]),
         EffectKind::WindingHeating => {
             let slow = [1.0, 2.0].map(|by| vec![by, 1e3]);
             let quick = [1.0, 2.0].iter().flat_map(|&by| [0.2, 0.6].map(|t| vec![by, t]));
-            slow.into_iter().chain(quick).collect()
+            slow.into_iter().chain(quick).chain([vec![WARM]]).collect()
         }
         EffectKind::ControlDelay => one(log(0.2 / runs[0].rate_hz, 40.0 / runs[0].rate_hz, 10)),
         _ => vec![vec![]],
     }
 }
 
+/// Shape of a winding that is as warm from the beginning to the end.
+pub const WARM: f64 = 3.0;
 /// Share of its speed with which a load bounces off, to begin with.
 const BOUNCE: f64 = 0.3;
 
@@ -322,7 +324,7 @@ pub fn limits(kind: EffectKind, runs: &[Signals]) -> Vec<(f64, f64)> {
         // beyond, a third of the torque is gone and the motor hardly runs
         EffectKind::CommutationOffset => vec![(-0.9, 0.9), (0.0, 1.0)],
         EffectKind::Compliance => vec![(1e-9, 1e9), (0.0, 1e9), (1e-12, 1e9), (0.0, BY_TORQUE), (0.0, 1.0)],
-        EffectKind::WindingHeating => vec![(0.0, 2.0), (0.02, 1e3)],
+        EffectKind::WindingHeating => vec![(0.0, WARM), (0.02, 1e3)],
         EffectKind::SupplySag => vec![(0.0, LEGS)],
         EffectKind::TurnShort => vec![(0.0, 2.0), (0.0, BRIDGED)],
         EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::EncoderEccentricity => vec![(0.0, 2.0)],

@@ -39,7 +39,7 @@ pub fn not_excited(m: &Material) -> Vec<(String, String)> {
             K::LoadDependentFriction if loads < 0.02 * torque => Some("the load hardly changes"),
             K::TemperatureDependentFriction if warm.is_none() => Some("no channel `temperature`"),
             K::WindingHeating if !electrical => Some("no voltage beside a measured current"),
-            K::TemperatureDependentFriction | K::WindingHeating if warm.is_some_and(|w| w < 3.0) => {
+            K::TemperatureDependentFriction if warm.is_some_and(|w| w < 3.0) => {
                 Some("the temperature changes by less than 3 K")
             }
             K::SupplySag | K::DeadTime if !electrical => Some("no voltage beside a measured current"),

@@ -188,7 +188,7 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
     let why_not = if !signs {
         "its sign is not physical"
     } else if !loose && any(&below) {
-        "a constant of the machine would have to be negative"
+        NEGATIVE
     } else if !loose && any(&strained) {
         "a constant would have to be other than it is believed to be"
     } else if gain < LEAST_GAIN {
@@ -200,7 +200,7 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
     } else if unbent(m, model, next) {
         "the user's side does not bend as it asks"
     } else if unheard(m, model, next) {
-        "the torque hardly shows it, and no second sensor does"
+        UNHEARD
     } else if otherwise_loose(m, model, next) {
         OTHERWISE
     } else if echoed(m, model, next) {
@@ -226,6 +226,8 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
     }
 }
 
+pub(super) const NEGATIVE: &str = "a constant of the machine would have to be negative";
+pub(super) const UNHEARD: &str = "the torque hardly shows it, and no second sensor does";
 pub(super) const TWICE: &str = "another of its kind is there already, of a shape that the list does not have";
 
 /// Whether a new term repeats one of its kind that is in the model: a spot within the other's width, a line of the angle's
@@ -421,13 +423,11 @@ fn slow_part(m: &Material, model: &Fit, next: &Fit, e: Equation) -> f64 {
 /// Energy of an equation's noise: the sensors' as they are said to be, or what the model leaves from row to row where
 /// that is more, but not much; that of the quieter half where that is less.
 fn noise_energy(m: &Material, model: &Fit, e: usize) -> f64 {
-    // the controller's own equation has no floor that is known
-    if Equation::ALL[e] == Equation::Controller {
-        return 0.0;
-    }
     let quiet = m.fit.quiet_energy(&model.residual, Equation::ALL[e]);
-    if quiet < m.fit.sensor_energy(e) {
-        quiet
+    let sensors = m.fit.sensor_energy(e);
+    // the controller's own equation has no floor that is known but that of the sensors
+    if quiet < sensors || Equation::ALL[e] == Equation::Controller {
+        quiet.min(sensors)
     } else {
         rough_energy(&m.fit, &model.residual, e)
     }

@@ -22,6 +22,8 @@ use rayon::prelude::*;
 use sim_worker::effect::{Effect, EffectKind, Equation};
 use std::sync::Arc;
 
+/// Log-likelihood by which another shape of an effect that is in the model must be better (assumed).
+const ANEW: f64 = 5.0;
 /// Standard deviations from which a belief about friction is given up (assumed).
 const STRANGE: f64 = 2.5;
 
@@ -162,6 +164,11 @@ impl Material {
     /// The same runs with the equations set up around the constants of a fit, so that what is left
     /// of the deviations is small; the priors stay where they were.
     pub fn around(&self, fit: &Fit) -> Self {
+        self.around_with(fit, self.fit.excess_left(&fit.score.energy))
+    }
+
+    /// * `excess` torque that the model does not have, rms [N m]
+    fn around_with(&self, fit: &Fit, excess: f64) -> Self {
         let mut bench = self.bench.clone();
         let mut moved = Vec::new();
         for (n, x) in self.nuisances.iter().zip(&fit.nuisance) {
@@ -187,7 +194,9 @@ impl Material {
             }
         }
         let off = |name: &str| fit::deviation(&self.nuisances, fit, name).map_or(0.0, |(n, x)| n.nominal * x);
-        bench.rig.drive_error = (off("drive_offset"), off("drive_clock"));
+        let offset = fit.terms.iter().find(|t| t.kind == EffectKind::CurrentOffset);
+        let found = offset.filter(|_| !bench.has_phases()).map_or(0.0, |t| t.amplitudes[0]);
+        bench.rig.drive_error = (off("drive_offset") + found, off("drive_clock"));
         let mut nuisances = self.nuisances.clone();
         for n in &mut nuisances {
             if let ("between_samples", Some((_, factor))) = (n.name, moved.iter().find(|m| m.0 == "inductance")) {
@@ -212,7 +221,6 @@ impl Material {
             bench.rig.encoder = (t.amplitudes[0], t.amplitudes[1]);
             bench.rig.encoder_speed = t.shape.first().is_some_and(|x| *x > 0.5);
         }
-        let excess = self.fit.excess_left(&fit.score.energy);
         self.again(bench, nuisances, (excess, self.excess.1))
     }
 
@@ -229,7 +237,10 @@ impl Material {
 
     /// The same around a fit, and its terms there: a load on its spring is a share of the inertia.
     pub fn carried(&self, fit: &Fit) -> (Self, Vec<Term>) {
-        let around = self.around(fit);
+        self.carried_into(self.around(fit), fit)
+    }
+
+    fn carried_into(&self, around: Self, fit: &Fit) -> (Self, Vec<Term>) {
         let factor = around.constants.inertia / self.constants.inertia.max(1e-300);
         let mut terms = fit.terms.clone();
         for t in terms.iter_mut().filter(|t| t.kind == EffectKind::Compliance) {
@@ -245,16 +256,44 @@ impl Material {
         (m, model)
     }
 
+    /// The same, fitted there by no other noise, so that what two models leave compares.
+    pub(super) fn refitted_alike(&self, fit: &Fit) -> (Self, Fit) {
+        let (m, terms) = self.carried_into(self.around_with(fit, self.excess.0), fit);
+        let model = m.polish(&m.solve(&terms, fit.sigma), 1);
+        (m, model)
+    }
+
+    /// The same with what was believed of constants before anything was given up; `None` where nothing was.
+    ///
+    /// * `first` beliefs around the model's own constants
+    pub(super) fn believing(&self, first: &[Nuisance]) -> Option<Self> {
+        let mut nuisances = self.nuisances.clone();
+        let mut any = false;
+        for n in nuisances.iter_mut().filter(|n| n.of_machine && n.trust.is_none()) {
+            let Some(was) = first.iter().find(|f| f.name == n.name && f.nominal * n.nominal > 0.0) else {
+                continue;
+            };
+            let factor = was.nominal / n.nominal;
+            if let Some(trust) = was.trust {
+                (n.trust, n.centre) = (Some(trust * factor), (1.0 + was.centre) * factor - 1.0);
+                any = true;
+            }
+        }
+        any.then(|| self.again(self.bench.clone(), nuisances, self.excess))
+    }
+
     /// The same without what is believed of constants that a fit holds at the end of their belief, though a voltage shows them;
     /// `None` where there are none.
-    pub(super) fn let_go(&self, fit: &Fit) -> Option<Self> {
+    ///
+    /// * `names` of those that may be let go
+    pub(super) fn let_go(&self, fit: &Fit, names: &[&str]) -> Option<Self> {
         if !self.equations.contains(&Equation::Electrical) || self.bench.has_phases() {
             return None;
         }
         let mut free = self.nuisances.clone();
         let mut any = false;
         for (n, held) in free.iter_mut().zip(&fit.believed) {
-            if matches!(n.name, "resistance" | "inertia") && n.trust != held.trust {
+            if names.contains(&n.name) && n.trust != held.trust {
                 (n.trust, n.centre) = (None, 0.0);
                 any = true;
             }
@@ -328,6 +367,36 @@ impl Material {
             sigma = fit.sigma;
         }
         self.solve(&terms, sigma)
+    }
+
+    /// A model whose shapes, but for orders and the last one's, are looked for once more over their grids: where they were found other
+    /// effects were missing.
+    pub(super) fn anew(&self, model: Fit) -> Fit {
+        let mut terms = model.terms.clone();
+        let older = 0..terms.len().saturating_sub(1);
+        for i in older.filter(|i| !shapes::has_order(model.terms[*i].kind) && !model.terms[*i].shape.is_empty()) {
+            let others: Vec<Term> = (0..terms.len()).filter(|j| *j != i).map(|j| terms[j].clone()).collect();
+            let regs = fit::regressors(&self.fit, &others, &self.constants);
+            let fitted = fit::assembled(&self.fit, &self.constants, &others, &regs);
+            let tied = fit::beside(&self.nuisances, terms.iter().map(|t| t.kind));
+            let nuisances = tied.as_ref().unwrap_or(&self.nuisances);
+            let scan = Scan::new(&self.fit, &self.constants, nuisances, &fitted, model.sigma);
+            let now = scan.score(terms[i].kind, &terms[i].shape);
+            if let Some((term, score)) = scan.best(terms[i].kind)
+                && now.is_none_or(|now| score.log_likelihood > now.log_likelihood + ANEW)
+            {
+                terms[i] = term;
+            }
+        }
+        if terms.iter().zip(&model.terms).all(|(a, b)| a.shape == b.shape) {
+            return model;
+        }
+        let other = self.polish(&self.solve(&terms, model.sigma), 1);
+        if other.score.log_likelihood > model.score.log_likelihood {
+            other
+        } else {
+            model
+        }
     }
 
     /// Share of the rows' greatest possible gap: rms by equation over the floor.

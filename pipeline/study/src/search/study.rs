@@ -7,14 +7,15 @@ use crate::search::beside::{self, Beside};
 use crate::search::days::by_days;
 use crate::search::fit::{self, Fit, MOST_EFFECTS, Term};
 use crate::search::form::{self, Strange};
-use crate::search::judge::{LEAST_GAIN, OTHERWISE, SLOW_EXCESS, SLOWEST, Step, TWICE, judged};
-use crate::search::needed::{needed, penalised, vague};
+use crate::search::judge::{SLOW_EXCESS, SLOWEST, Step};
+use crate::search::needed::{needed, vague};
 use crate::search::remainder;
 use crate::search::scan;
-use crate::search::select::{Material, Ranked};
+use crate::search::select::Material;
+use crate::search::step::step;
 use crate::search::trial::Trial;
 use crate::search::unlisted::unlisted;
-use crate::search::verdict::{SLOW_S, Verdict, WORTH, conclude};
+use crate::search::verdict::{SLOW_S, Verdict, conclude};
 use sim_worker::effect::{EffectKind, Equation, Law};
 
 /// Most rounds in which constants are carried into the equations beside a new effect; two but for bristles.
@@ -29,17 +30,10 @@ fn settled(m: &Material, model: &Fit) -> bool {
     !bristles || moved < STILL_MOVES
 }
 
-/// Gain of a candidate that is worth a look at pairs although it is refused alone.
-const PAIR_GAIN: f64 = 60.0;
 /// Torque over the rms of the fit runs beyond which held-out data are beyond what was excited.
 const EXCITED: f64 = 3.0;
 /// Energy of the voltage over that of the noise up to which nothing else is in it (assumed).
 const QUIET: f64 = 1.35;
-/// Candidates that a second one is tried with.
-const PAIRS: usize = 4;
-/// Log-likelihood by which a rival must fall behind, and share of the gain where the best leaves a gap (assumed).
-const RIVAL: f64 = 5.0;
-const RIVAL_SHARE: f64 = 0.02;
 /// An effect, and the rms of its equation's rows on the held-out runs without it and with all.
 pub type Proof = (EffectKind, f64, f64);
 
@@ -156,7 +150,7 @@ impl Material {
     }
 
     /// As [`Material::without`], the other shapes refined again.
-    fn dropped(&self, model: &Fit, term: usize) -> Fit {
+    pub(super) fn dropped(&self, model: &Fit, term: usize) -> Fit {
         self.polish(&self.without(model, term), 1)
     }
 
@@ -272,19 +266,19 @@ fn studied(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         if within_noise(&m, &model) {
             break;
         }
-        let ranked = m.scan(&model, EffectKind::ALL);
-        let Some((step, next, rivals)) = try_next(&m, &model, ranked) else {
+        let Some(tried) = step(&m, &model, &first_nuisances) else {
             break;
         };
-        let accepted = step.accepted;
+        m = tried.own.unwrap_or(m);
+        let accepted = tried.step.accepted;
         if accepted {
-            ambiguous.extend(step.taken.iter().map(|k| (*k, rivals.clone())));
+            ambiguous.extend(tried.step.taken.iter().map(|k| (*k, tried.rivals.clone())));
         }
-        steps.push(step);
+        steps.push(tried.step);
         if !accepted {
             break;
         }
-        model = m.by_other_laws(next);
+        model = m.by_other_laws(m.anew(tried.model));
         for round in 0..MOST_ROUNDS {
             let terms;
             (m, terms) = m.carried(&model);
@@ -404,10 +398,17 @@ fn studied(material: Material, tell: &dyn Fn(&str)) -> Outcome {
 
 /// A model whose resistance and inertia are no longer held at the end of their belief, where one cause explains all constants.
 fn one_cause(m: &Material, model: &Fit, first: &[Nuisance]) -> Option<(Material, Fit)> {
-    let loose = m.let_go(model)?;
-    let (loose, terms) = loose.carried(&loose.solve(&model.terms, model.sigma));
-    let fit = loose.polish(&loose.solve(&terms, model.sigma), 1);
-    beside::together(&loose, &fit, first).map(|_| (loose, fit))
+    let free = |names: &[&str]| {
+        let loose = m.let_go(model, names)?;
+        let (loose, terms) = loose.carried(&loose.solve(&model.terms, model.sigma));
+        let fit = loose.polish(&loose.solve(&terms, model.sigma), 1);
+        let cause = beside::together(&loose, &fit, first)?;
+        Some((loose, fit, cause.kind))
+    };
+    // what is warm says nothing of the inertia
+    let warm = free(&["resistance"]).filter(|w| w.2 == EffectKind::WindingHeating);
+    let (loose, fit, _) = warm.or_else(|| free(&["resistance", "inertia"]))?;
+    Some((loose, fit))
 }
 
 /// Whether no equation has more energy on the fit runs than the sensors' noise, nor in means over the longest times.
@@ -456,95 +457,4 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
         let proofs = model.terms.iter().zip(&without).map(proof).collect();
         return (unproven, proofs);
     }
-}
-
-/// What is met more often comes first where the data cannot tell, in log-likelihood (assumed).
-fn usual(t: &Term) -> f64 {
-    match t.kind {
-        EffectKind::Cogging | EffectKind::BiasTorque => 1.5,
-        // all constants together stand for it
-        _ if t.is_gain_of_all() => -30.0,
-        EffectKind::CurrentOffset | EffectKind::CurrentGain | EffectKind::TurnShort => -1.5,
-        _ => 0.0,
-    }
-}
-
-type Tried = (Step, Fit, Vec<EffectKind>);
-
-/// Share of a spring's gain from which a constant torque does as well (assumed).
-const AS_WELL: f64 = 0.95;
-
-fn try_next(m: &Material, model: &Fit, ranked: Vec<Ranked>) -> Option<Tried> {
-    let first = ranked.first()?;
-    let best_gain = first.gain;
-    // the leaders are refined together with what is in the model already
-    let mut tried: Vec<(Fit, f64)> = Vec::new();
-    for r in ranked.iter().take(4).filter(|r| r.gain > 0.3 * best_gain) {
-        let mut terms: Vec<Term> = model.terms.clone();
-        terms.push(r.term.clone());
-        let fit = m.polish(&m.solve(&terms, model.sigma), 1);
-        let gain = penalised(m, &fit) - penalised(m, model) + usual(&r.term);
-        tried.push((fit, gain));
-    }
-    tried.sort_by(|a, b| b.1.total_cmp(&a.1));
-    // none where the gains are beyond all numbers
-    let gain = tried.first()?.1;
-    let kind_of = |f: &Fit| f.terms.last().expect("one was added").kind;
-    // where a spring is at ease is a constant torque: where that does as well it comes first, and the spring after it if there is one
-    let constant = |f: &Fit| matches!(kind_of(f), EffectKind::BiasTorque | EffectKind::CurrentOffset);
-    let spring = |f: &Fit| kind_of(f) == EffectKind::SpringLoad;
-    let as_well = spring(&tried[0].0) && tried.iter().any(|t| constant(&t.0) && t.1 > AS_WELL * gain);
-    if as_well {
-        tried.sort_by_key(|t| !constant(&t.0));
-    }
-    let clean = (0..5).all(|e| tried[0].0.score.energy[e] <= WORTH * m.fit.sensor_energy(e));
-    let behind = RIVAL + if clean { 0.0 } else { RIVAL_SHARE * gain };
-    let mut out: Option<Step> = None;
-    for (i, (next, gain)) in tried.iter().enumerate() {
-        let step = judged(m, model, next, *gain, &ranked);
-        if step.accepted {
-            let rivals = tried[i + 1..]
-                .iter()
-                .filter(|t| !(as_well && spring(&t.0)) && gain - t.1 < behind)
-                .filter(|t| judged(m, model, &t.0, t.1, &ranked).accepted)
-                .map(|t| kind_of(&t.0))
-                .collect();
-            return Some((step, next.clone(), rivals));
-        }
-        let same_again = [TWICE, OTHERWISE].contains(&step.why_not);
-        out.get_or_insert(step);
-        if same_again {
-            // a shape that the list does not have is no reason for another name
-            return Some((out?, next.clone(), Vec::new()));
-        }
-    }
-    // two effects may each make it worse without the other
-    if best_gain > PAIR_GAIN && model.terms.len() + 2 <= MOST_EFFECTS {
-        let mut pairs: Vec<(Fit, f64)> = Vec::new();
-        for first in ranked.iter().take(PAIRS).filter(|r| r.gain > 0.15 * best_gain) {
-            let mut terms = model.terms.clone();
-            terms.push(first.term.clone());
-            let alone = m.solve(&terms, model.sigma);
-            let Some(second) = m
-                .scan(&alone, EffectKind::ALL)
-                .into_iter()
-                .next()
-                .filter(|r| r.gain > LEAST_GAIN)
-            else {
-                continue;
-            };
-            terms.push(second.term);
-            let pair = m.polish(&m.solve(&terms, alone.sigma), 2);
-            let gain = penalised(m, &pair) - penalised(m, model);
-            pairs.push((pair, gain));
-        }
-        pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
-        for (pair, gain) in pairs {
-            let step = judged(m, model, &pair, gain, &ranked);
-            if step.accepted {
-                return Some((step, pair, Vec::new()));
-            }
-        }
-    }
-    Some((out?, tried[0].0.clone(), Vec::new()))
 }

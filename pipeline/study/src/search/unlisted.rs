@@ -1,20 +1,20 @@
 //! Laws that the list does not have and that any machine may: a constant that is another one at another time or place, an inertia that
 //! goes with the turn, a friction that remembers a reversal, a torque that keeps its own time.
 
-use crate::candidates::shapes::has_order;
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::sums::dot;
 use crate::search::fit::Fit;
+use crate::search::instead::in_place;
 use crate::search::memory;
 use crate::search::remainder::{Regressor, bin, edges};
 use crate::search::select::Material;
 use crate::search::spectrum::{LONGEST, over_time};
 use crate::search::trial::{CLEAR, Columns, MOST, Side, Trial, torque_column};
 use crate::search::verdict::{BEYOND, WORTH};
-use sim_worker::effect::{EffectKind, Equation};
+use sim_worker::effect::Equation;
 use std::collections::BTreeMap;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 /// Share of what is left that a law takes from which it is there, on the runs that find and on those that prove (assumed: rigs of
 /// another hand in which nothing is hidden left up to 0.07).
@@ -26,11 +26,6 @@ const SEEN_IN_TIME: f64 = 0.04;
 /// to 0.23 and 0.001).
 const SEEN_BESIDE: f64 = 0.3;
 const LITTLE: f64 = 0.04;
-/// Share of what an effect leaves below which a law in its place must come (assumed: in the place of true ones 1.03 and more, of others up
-/// to 0.93).
-const INSTEAD: f64 = 0.97;
-/// Share of what is left without a spring below which one tone brings it that does not stop (assumed: springs have none that stands out).
-const RINGS: f64 = 0.5;
 /// Time over which a constant is one [s] (assumed).
 const WHILE_S: f64 = 0.25;
 /// Whiles on either side that say what it is, and the least energy that such a one has, over what is usual (assumed).
@@ -50,10 +45,6 @@ const LEAST_NEIGHBOURS: usize = 8;
 const OF_DRIVE: f64 = 0.1;
 /// Pieces of the travel in which a constant is one.
 const PLACES: usize = 8;
-/// Periods over the travel from which what repeats is no smooth curve of the place, and degree of such a curve (assumed: a spring and a
-/// cogging have as many parameters).
-const FEW_PERIODS: f64 = 3.0;
-const DEGREE: i32 = 5;
 /// Orders of the turn with which an inertia may go.
 const ORDERS: [f64; 2] = [1.0, 2.0];
 
@@ -119,6 +110,8 @@ pub enum Law {
     Curve,
     /// a dry friction that is another one so far after a reversal
     AfterReversal,
+    /// a torque that acts in one direction only
+    OneWay,
     /// a torque of one frequency, whatever the motion [Hz]
     Tone(f64),
 }
@@ -132,6 +125,7 @@ impl Law {
             Self::OfPlace => "the viscous friction is another one at other places".to_string(),
             Self::OfTurn => "the inertia goes with the angle within a turn".to_string(),
             Self::Curve => "the torque is a smooth curve of the place, and not seen to repeat".to_string(),
+            Self::OneWay => "a torque acts while it moves in one direction, and not in the other".to_string(),
             Self::AfterReversal => "the dry friction goes with the distance since the motion turned round".to_string(),
             Self::Tone(hz) => format!("a torque of {hz:.2} Hz keeps its own time, whatever the motion"),
         }
@@ -147,14 +141,14 @@ pub struct Unlisted {
 }
 
 /// What a model leaves of the judged rows of the torque, 0 elsewhere.
-struct Left<'a> {
+pub(super) struct Left<'a> {
     p: &'a Problem,
     residual: Vec<f64>,
     rows: f64,
 }
 
 impl<'a> Left<'a> {
-    fn new(side: &Side<'a>) -> Self {
+    pub(super) fn new(side: &Side<'a>) -> Self {
         let mut residual = vec![0.0; side.residual.len()];
         side.rows.iter().for_each(|r| residual[*r] = side.residual[*r]);
         Self {
@@ -219,7 +213,7 @@ fn in_time(m: &Material, side: &Left, constant: Constant) -> f64 {
 }
 
 /// The frequency that stands out of what is left of the runs that find, and its share of what is left of those that prove.
-fn tone(m: &Material, find: &Left, prove: &Left) -> Option<(f64, f64)> {
+pub(super) fn tone(m: &Material, find: &Left, prove: &Left) -> Option<(f64, f64)> {
     let every = find.p.group().max(1);
     let blocks = [find, prove].into_iter().flat_map(|s| s.p.blocks_of(Equation::Torque));
     let longest = blocks.filter_map(|b| b.samples.last()).max()? / every + 1;
@@ -264,7 +258,7 @@ fn placed(p: &Problem, borders: &[f64]) -> Vec<Vec<f64>> {
 
 /// Columns of an inertia of the turn: d/dt (J w) - w^2/2 dJ/d(theta) with J = J0 (1 + a cos + b sin). The acceleration's noise has no sine
 /// of the turn.
-fn turned(m: &Material, p: &Problem) -> Vec<Vec<f64>> {
+pub(super) fn turned(m: &Material, p: &Problem) -> Vec<Vec<f64>> {
     let j = m.bench.rig.inertia.value;
     let of = |n: f64| {
         let cosine = |s: &Signals, k: usize, angle: f64| {
@@ -287,8 +281,8 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
         return None;
     }
     let beside = !model.terms.is_empty();
-    if let Some(instead) = (0..model.terms.len()).find_map(|t| instead(trial, t).or_else(|| smooth(trial, t))) {
-        return Some(instead);
+    if let Some(law) = (0..model.terms.len()).find_map(|t| in_place(trial, t)) {
+        return Some(law);
     }
     // what is within the noise may keep a time of its own, or have whatever form a noise has
     if left_of < if beside { BEYOND } else { WORTH } * trial.noise() {
@@ -337,62 +331,6 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
     all.max_by(|a, b| a.of_left.total_cmp(&b.of_left))
 }
 
-/// Columns of a torque that is a smooth curve of the place.
-///
-/// * `travel` from where to where [rad]
-fn curved(p: &Problem, (low, high): (f64, f64)) -> Vec<Vec<f64>> {
-    let place = |s: &Signals, k: usize| (2.0 * s.theta[k] - low - high) / (high - low);
-    let of = |n: i32| torque_column(p, |s, k| place(s, k).powi(n));
-    (1..=DEGREE).map(of).collect()
-}
-
-/// A smooth curve that leaves less than a cogging that is hardly seen to repeat does, with a spring beside it where there is one.
-fn smooth(trial: &Trial, term: usize) -> Option<Unlisted> {
-    let (m, model) = (trial.m, trial.model);
-    let (low, high) = m.fit.travel();
-    let cogging = &model.terms[term];
-    if cogging.kind != EffectKind::Cogging || cogging.shape[0] * (high - low) > FEW_PERIODS * TAU {
-        return None;
-    }
-    let mut less = m.without(model, term);
-    if let Some(spring) = less.terms.iter().position(|t| t.kind == EffectKind::SpringLoad) {
-        less = m.without(&less, spring);
-    }
-    let (left_of, trial) = (trial.left(), trial.of(&less));
-    let (all, rest) = (trial.left(), trial.left_with(&|p| curved(p, (low, high)))?);
-    (rest < left_of).then(|| Unlisted {
-        law: Law::Curve,
-        of_left: (all - rest) / all,
-    })
-}
-
-/// A law that leaves less than one of the effects does, in its place.
-fn instead(trial: &Trial, term: usize) -> Option<Unlisted> {
-    let (m, left_of) = (trial.m, trial.left());
-    let kind = trial.model.terms[term].kind;
-    // a load that swings for long on its spring is a tone; an angle's sensor off its centre seems to speed up and slow down within a turn
-    let swings = kind == EffectKind::Compliance;
-    if !(swings || has_order(kind) || kind == EffectKind::EncoderEccentricity) {
-        return None;
-    }
-    let less = m.without(trial.model, term);
-    let trial = trial.of(&less);
-    let all = trial.left();
-    let (law, rest) = if swings {
-        let (hz, share) = tone(m, &Left::new(&trial.find), &Left::new(&trial.prove))?;
-        (Law::Tone(hz), all * (1.0 - share))
-    } else {
-        (Law::OfTurn, trial.left_with(&|p| turned(m, p))?)
-    };
-    let better = rest < INSTEAD * left_of && (left_of - rest) * trial.prove.rows.len() as f64 > CLEAR * left_of;
-    // beside constants that were fitted with another law, and with rows left out, a line is not all of its tone
-    let rings = swings && rest < RINGS * all;
-    (better || rings).then(|| Unlisted {
-        law,
-        of_left: (all - rest) / all,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -402,6 +340,7 @@ mod tests {
     use crate::search::verdict::Verdict;
     use sim_worker::effect::EffectKind;
     use std::cell::Cell;
+    use std::f64::consts::TAU;
 
     fn studied(besides: impl Fn(usize, [f64; 5]) -> f64) -> Outcome {
         let (bench, runs) = rig(besides);
