@@ -14,8 +14,8 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 const INSTEAD: f64 = 0.97;
 /// Share of what is left without a spring below which one tone brings it that does not stop (assumed: springs have none that stands out).
 const RINGS: f64 = 0.5;
-/// What a torque of one direction leaves at most over what two effects do that are its halves (assumed: with half of their parameters).
-const AS_LITTLE: f64 = 1.05;
+/// Share of what two effects explain that a torque of one direction may leave which is both, with half of their parameters (assumed).
+const AS_LITTLE: f64 = 0.01;
 /// Periods over the travel from which what repeats is no smooth curve of the place, and degree of such a curve (assumed: a spring and a
 /// cogging have as many parameters).
 const FEW_PERIODS: f64 = 3.0;
@@ -93,13 +93,13 @@ fn instead(trial: &Trial, term: usize) -> Option<Unlisted> {
 fn halves(trial: &Trial, term: usize) -> Option<Unlisted> {
     let (m, model) = (trial.m, trial.model);
     let cogging = &model.terms[term];
+    if cogging.kind != EffectKind::Cogging {
+        return None;
+    }
     let (low, high) = m.fit.travel();
     let same = |t: &Term| (t.shape[0] - cogging.shape[0]).abs() * (high - low) < TAU;
     let is_half = |t: &Term| t.kind == EffectKind::PeriodicFriction && same(t);
     let half = model.terms.iter().position(is_half)?;
-    if cogging.kind != EffectKind::Cogging {
-        return None;
-    }
     let less = m.without(&m.without(model, term.max(half)), term.min(half));
     let (left_of, trial) = (trial.left(), trial.of(&less));
     let order = cogging.shape[0];
@@ -114,7 +114,7 @@ fn halves(trial: &Trial, term: usize) -> Option<Unlisted> {
     let rest = ways
         .filter_map(|way| trial.left_with(&|p| of(p, way)))
         .fold(all, f64::min);
-    (rest < AS_LITTLE * left_of).then(|| Unlisted {
+    (rest - left_of < AS_LITTLE * (all - left_of)).then(|| Unlisted {
         law: Law::OneWay,
         of_left: (all - rest) / all,
     })

@@ -263,13 +263,14 @@ impl Material {
         (m, model)
     }
 
-    /// The same with what was believed of constants before anything was given up; `None` where nothing was.
+    /// The same with what was believed of friction before that was given up; `None` where nothing was.
     ///
     /// * `first` beliefs around the model's own constants
     pub(super) fn believing(&self, first: &[Nuisance]) -> Option<Self> {
         let mut nuisances = self.nuisances.clone();
         let mut any = false;
-        for n in nuisances.iter_mut().filter(|n| n.of_machine && n.trust.is_none()) {
+        let friction = |n: &&mut Nuisance| matches!(n.name, "coulomb" | "viscous") && n.trust.is_none();
+        for n in nuisances.iter_mut().filter(friction) {
             let Some(was) = first.iter().find(|f| f.name == n.name && f.nominal * n.nominal > 0.0) else {
                 continue;
             };

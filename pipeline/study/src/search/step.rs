@@ -250,6 +250,6 @@ mod tests {
         let names: Vec<&str> = o.model.terms.iter().map(|t| t.kind.name()).collect();
         assert_eq!((o.verdict, names), (Verdict::Named, vec!["lubricated_rise"]));
         let found = o.model.terms[0].amplitudes[0];
-        assert!((found / torque - 1.0).abs() < 0.05, "{found}");
+        assert!((found / torque - 1.0).abs() < 0.1, "{found}");
     }
 }
