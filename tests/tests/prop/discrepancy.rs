@@ -304,7 +304,7 @@ fn val_emps_two_effects_and_more_are_named() {
     }
     let request = Request::of(&datasets("parameters/emps.toml"), &datasets("benches/emps.toml"));
     let f = study_file(&request, &|_| {}).unwrap();
-    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
+    let names = f.names();
     assert!(names.len() >= 2, "{}", f.sentence);
     for wanted in ["viscous_asymmetry", "lubricated_rise", "control_delay"] {
         assert!(names.contains(&wanted), "{names:?}");

@@ -182,8 +182,7 @@ fn prop_an_inductance_is_not_what_the_smoother_takes_from_the_speed() {
 fn prop_the_voltage_that_a_bridge_loses_is_not_the_windings() {
     let motor = Motor::new(0.4);
     let f = studied(|dir| motor.bench(dir));
-    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
-    assert_eq!(names, ["dead_time"], "{}", f.sentence);
+    assert_eq!(f.names(), ["dead_time"], "{}", f.sentence);
     // of the channel in which the effect lives
     assert!(f.sentence.contains("the gap in voltage"), "{}", f.sentence);
     let voltage = &f.effects[0].parameters[0];
@@ -199,8 +198,7 @@ fn prop_a_winding_that_is_warm_all_the_time_is_no_bridge() {
         ..Motor::new(0.0)
     };
     let f = studied(|dir| motor.bench(dir));
-    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
-    assert_eq!(names, ["winding_heating"], "{}", f.sentence);
+    assert_eq!(f.names(), ["winding_heating"], "{}", f.sentence);
     let warmer = &f.effects[0].parameters[0];
     assert!(warmer.lo <= 60.0 && 60.0 <= warmer.hi, "{warmer:?}");
     assert!((warmer.value / 60.0 - 1.0).abs() < 0.1, "{warmer:?}");
@@ -214,7 +212,7 @@ fn prop_a_bridge_beside_an_offset_of_the_current() {
         ..Motor::new(0.4)
     };
     let f = studied(|dir| motor.bench(dir));
-    let mut names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
+    let mut names = f.names();
     names.sort_unstable();
     assert_eq!(names, ["current_offset", "dead_time"], "{}", f.sentence);
     for (name, truth) in [("current_offset", 0.4), ("dead_time", 0.4)] {
@@ -240,8 +238,7 @@ fn prop_a_load_on_its_spring_is_heard_in_the_torque() {
     );
     for (more, before) in [("", false), (gear.as_str(), true)] {
         let f = studied(|dir| motor.bench_with(dir, &format!("{VOLTAGE}{more}")));
-        let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
-        assert_eq!(names, ["compliance"], "{}", f.sentence);
+        assert_eq!(f.names(), ["compliance"], "{}", f.sentence);
         for (p, truth) in f.effects[0].parameters.iter().zip([stiffness, damping, load]) {
             assert!((p.value / truth - 1.0).abs() < 0.1, "{truth}: {p:?}");
         }
@@ -260,8 +257,7 @@ fn prop_an_angle_sensor_out_of_centre_is_heard_in_the_torque() {
         ..Motor::new(0.0)
     };
     let f = studied(|dir| motor.bench_with(dir, ""));
-    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
-    assert_eq!(names, ["encoder_eccentricity"], "{}", f.sentence);
+    assert_eq!(f.names(), ["encoder_eccentricity"], "{}", f.sentence);
     let amplitude = &f.effects[0].parameters[0];
     assert!((amplitude.value / 0.05 - 1.0).abs() < 0.1, "{amplitude:?}");
 }
@@ -315,8 +311,7 @@ fn prop_a_delay_that_an_effect_explains_is_none() {
         std::fs::write(&bench, text).unwrap();
         bench
     });
-    let names: Vec<&str> = f.effects.iter().map(|e| e.name.as_str()).collect();
-    assert_eq!(names, ["cogging"], "{}", f.sentence);
+    assert_eq!(f.names(), ["cogging"], "{}", f.sentence);
     let late = f.assumptions.iter().find(|a| a.contains("later than the bench says"));
     assert_eq!(late, None);
     let amplitude = f.effects[0].parameters.iter().find(|p| p.name == "amplitude").unwrap();

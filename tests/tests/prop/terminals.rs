@@ -1,7 +1,6 @@
 //! A motor that is fed by a voltage at its terminals, simulated here: with and without its current beside it.
 
 use ema_study::measured::bench::Bench;
-use ema_study::told::findings::Findings;
 use pipeline::discrepancy::{Request, study_file, study_into};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -95,10 +94,6 @@ fn request(bench: &Path) -> Request {
     }
 }
 
-fn names(f: &Findings) -> Vec<&str> {
-    f.effects.iter().map(|e| e.name.as_str()).collect()
-}
-
 #[test]
 fn prop_a_motor_at_its_terminals_is_plain_with_and_without_its_current() {
     for with_current in [true, false] {
@@ -111,7 +106,7 @@ fn prop_a_motor_at_its_terminals_is_plain_with_and_without_its_current() {
             ["none", "retune"].contains(&f.verdict.as_str()) && f.effects.is_empty(),
             "{with_current}: {} {:?}",
             f.sentence,
-            names(f)
+            f.names()
         );
         if with_current {
             continue;
@@ -159,7 +154,7 @@ fn prop_what_hides_in_a_motor_at_its_terminals_is_named() {
             ..Hidden::default()
         };
         let f = study_file(&request(&bench(dir.path(), cogging, with_current, SAID)), &|_| {}).unwrap();
-        assert_eq!(names(&f), ["cogging"], "{with_current}: {}", f.sentence);
+        assert_eq!(f.names(), ["cogging"], "{with_current}: {}", f.sentence);
         let amplitude = &f.effects[0].parameters[0];
         assert!((amplitude.value / 0.004 - 1.0).abs() < 0.1, "{amplitude:?}");
     }
@@ -175,7 +170,7 @@ fn prop_beside_bristles_the_scale_of_torques_is_what_the_back_emf_says() {
         ..Hidden::default()
     };
     let f = study_file(&request(&bench(dir.path(), hidden, true, SAID)), &|_| {}).unwrap();
-    assert_eq!(names(&f), ["presliding"], "{}", f.sentence);
+    assert_eq!(f.names(), ["presliding"], "{}", f.sentence);
     let constant = |name: &str| f.retuned.iter().find(|r| r.name == name).unwrap();
     let of_machine = [
         ("torque_constant", kt),

@@ -125,7 +125,7 @@ fn val_a_spring_of_another_hand_is_found_as_it_is() {
         let folder = dir.path().join(seed.to_string());
         let key = independent::make_unit(&folder, Some(effect), 1.0, seed).unwrap();
         let found = study_of(&folder);
-        let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+        let names = found.names();
         assert_eq!(names, [effect], "{seed}");
         if effect != "compliance" {
             continue;
@@ -161,7 +161,7 @@ fn val_a_sensor_a_delay_and_a_play_of_another_hand_are_found_as_they_are() {
         let folder = dir.path().join(effect);
         let unit = independent::make_unit(&folder, Some(effect), 1.0, seed).unwrap();
         let found = study_of(&folder);
-        let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+        let names = found.names();
         assert_eq!((found.verdict.as_str(), names), ("named", vec![effect]));
         let (said, hidden) = (
             &found.effects[0].parameters[0],
@@ -207,7 +207,7 @@ fn val_a_gain_of_one_sensor_and_a_supply_are_found_from_any_rest_angle() {
         ..Request::default()
     };
     let found = study_file(&request, &|_| {}).unwrap();
-    let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+    let names = found.names();
     assert_eq!((found.verdict.as_str(), names), ("named", vec!["current_gain"]));
     let (effect, gain) = (&found.effects[0], &found.effects[0].parameters[0]);
     assert_eq!(effect.law, Law::Phase(1));

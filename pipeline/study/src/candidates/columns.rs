@@ -3,8 +3,8 @@
 
 use crate::candidates::bristles::{STATIC, breaks_away, dahl};
 use crate::candidates::loads::loose;
-use crate::candidates::phases::{BRIDGED, LEGS, of_phases};
-use crate::candidates::shapes::{SQUARE, WARM};
+use crate::candidates::phases::{BRIDGED, LEGS, WARM, of_phases};
+use crate::candidates::shapes::SQUARE;
 use crate::candidates::springs;
 use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants};

@@ -1,7 +1,6 @@
 //! Effects that three measured phases tell apart: what each would add to the torque and to the equations of the phases.
 
 use crate::candidates::columns::drive;
-use crate::candidates::shapes::WARM;
 use crate::equations::phases::{Of, Phases, SUPPLY};
 use crate::equations::pieces::{Column, Piece, RigConstants};
 use crate::equations::signals::Signals;
@@ -49,6 +48,8 @@ pub const LEGS: f64 = 3.0;
 
 /// Second shape of a phase whose short turns a contact bridges.
 pub const BRIDGED: f64 = 1.0;
+/// Shape of a winding that is as warm from the beginning to the end.
+pub const WARM: f64 = 3.0;
 
 /// Share of the flux that an iron loses which saturates about the current `at` [A].
 pub fn flux_lost(at: f64, i: f64) -> f64 {

@@ -1,7 +1,7 @@
 //! Where the search for an effect's shape starts, how it goes on, and where physics ends it.
 
 use crate::candidates::bristles::STATIC;
-use crate::candidates::phases::{BRIDGED, LEGS};
+use crate::candidates::phases::{BRIDGED, LEGS, WARM};
 use crate::candidates::springs::{self, BY_TORQUE};
 use crate::equations::pieces::RigConstants;
 use crate::equations::signals::Signals;
@@ -164,8 +164,6 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
     }
 }
 
-/// Shape of a winding that is as warm from the beginning to the end.
-pub const WARM: f64 = 3.0;
 /// Share of its speed with which a load bounces off, to begin with.
 const BOUNCE: f64 = 0.3;
 

@@ -102,6 +102,9 @@ pub fn log_likelihood(p: &Problem, energy: &[f64; 5], count: &[f64; 5], prior: f
     ll
 }
 
+/// Energy over that of the noise from which an equation has an excess that is worth a share.
+pub const WORTH: f64 = 1.1;
+
 /// Most effects that one study adds.
 pub const MOST_EFFECTS: usize = 4;
 

@@ -22,10 +22,14 @@ const FEW_PERIODS: f64 = 3.0;
 const DEGREE: i32 = 5;
 
 /// A law in the place of an effect of the model; `None` where none leaves less.
-pub(super) fn in_place(trial: &Trial, term: usize) -> Option<Unlisted> {
-    instead(trial, term)
-        .or_else(|| smooth(trial, term))
-        .or_else(|| halves(trial, term))
+pub fn in_place(trial: &Trial) -> Option<Unlisted> {
+    let of = |t: usize| {
+        instead(trial, t)
+            .or_else(|| smooth(trial, t))
+            .or_else(|| halves(trial, t))
+    };
+    let leaves = trial.left() > 0.0;
+    leaves.then(|| (0..trial.model.terms.len()).find_map(of)).flatten()
 }
 
 /// Columns of a torque that is a smooth curve of the place.

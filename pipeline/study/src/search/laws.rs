@@ -73,12 +73,14 @@ impl Material {
     /// A model whose supply's sag is that of a voltage as it was asked for, with that of one that was measured, or back: which it is may
     /// show only beside what else changes the voltage. `None` where the supply is not seen.
     pub(super) fn of_the_other_voltage(&self, model: &Fit) -> Option<Fit> {
+        if self.bench.has_phases() {
+            return None;
+        }
         let mut terms = model.terms.clone();
-        let sag = terms
-            .iter_mut()
-            .find(|t| t.kind == EffectKind::SupplySag && [[0.0], [1.0]].contains(&[t.shape[0]]))?;
+        let is_seen = |t: &&mut Term| t.kind == EffectKind::SupplySag && matches!(t.shape[0], 0.0 | 1.0);
+        let sag = terms.iter_mut().find(is_seen)?;
         sag.shape[0] = 1.0 - sag.shape[0];
-        (!self.bench.has_phases()).then(|| self.solve(&terms, model.sigma))
+        Some(self.solve(&terms, model.sigma))
     }
 
     /// A model whose spring differs by less than the sensors' noise wherever the motor is, with the constant torque in which that is at ease.

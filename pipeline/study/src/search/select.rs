@@ -237,10 +237,12 @@ impl Material {
 
     /// The same around a fit, and its terms there: a load on its spring is a share of the inertia.
     pub fn carried(&self, fit: &Fit) -> (Self, Vec<Term>) {
-        self.carried_into(self.around(fit), fit)
+        self.carried_with(fit, self.fit.excess_left(&fit.score.energy))
     }
 
-    fn carried_into(&self, around: Self, fit: &Fit) -> (Self, Vec<Term>) {
+    /// * `excess` torque that the model does not have, rms [N m]
+    fn carried_with(&self, fit: &Fit, excess: f64) -> (Self, Vec<Term>) {
+        let around = self.around_with(fit, excess);
         let factor = around.constants.inertia / self.constants.inertia.max(1e-300);
         let mut terms = fit.terms.clone();
         for t in terms.iter_mut().filter(|t| t.kind == EffectKind::Compliance) {
@@ -251,16 +253,12 @@ impl Material {
 
     /// The same, fitted there.
     pub(super) fn refitted(&self, fit: &Fit) -> (Self, Fit) {
-        let (m, terms) = self.carried(fit);
-        let model = m.polish(&m.solve(&terms, fit.sigma), 1);
-        (m, model)
+        fitted_there(self.carried(fit), fit)
     }
 
     /// The same, fitted there by no other noise, so that what two models leave compares.
     pub(super) fn refitted_alike(&self, fit: &Fit) -> (Self, Fit) {
-        let (m, terms) = self.carried_into(self.around_with(fit, self.excess.0), fit);
-        let model = m.polish(&m.solve(&terms, fit.sigma), 1);
-        (m, model)
+        fitted_there(self.carried_with(fit, self.excess.0), fit)
     }
 
     /// The same with what was believed of friction before that was given up; `None` where nothing was.
@@ -342,23 +340,24 @@ impl Material {
         all
     }
 
+    /// What one of some terms is measured against: all the others.
+    fn beside_others(&self, terms: &[Term], one: usize, sigma: [f64; 5]) -> Scan<'_> {
+        let mut others = terms.to_vec();
+        others.remove(one);
+        let regs = fit::regressors(&self.fit, &others, &self.constants);
+        let fitted = fit::assembled(&self.fit, &self.constants, &others, &regs);
+        let tied = fit::beside(&self.nuisances, terms.iter().map(|t| t.kind));
+        let nuisances = tied.as_ref().unwrap_or(&self.nuisances);
+        Scan::new(&self.fit, &self.constants, nuisances, &fitted, sigma)
+    }
+
     /// Refines the shapes of all terms in turn, then solves.
     pub fn polish(&self, model: &Fit, rounds: usize) -> Fit {
         let mut terms = model.terms.clone();
         let mut sigma = model.sigma;
         for _ in 0..rounds {
             for i in 0..terms.len() {
-                let others: Vec<Term> = terms
-                    .iter()
-                    .enumerate()
-                    .filter(|(j, _)| *j != i)
-                    .map(|(_, t)| t.clone())
-                    .collect();
-                let regs: Vec<Regressor> = fit::regressors(&self.fit, &others, &self.constants);
-                let fitted = fit::assembled(&self.fit, &self.constants, &others, &regs);
-                let tied = fit::beside(&self.nuisances, terms.iter().map(|t| t.kind));
-                let nuisances = tied.as_ref().unwrap_or(&self.nuisances);
-                let scan = Scan::new(&self.fit, &self.constants, nuisances, &fitted, sigma);
+                let scan = self.beside_others(&terms, i, sigma);
                 if let Some(score) = scan.score(terms[i].kind, &terms[i].shape) {
                     terms[i] = whole(scan.refined(terms[i].kind, &terms[i].shape, &score, 60).0);
                 }
@@ -376,12 +375,7 @@ impl Material {
         let mut terms = model.terms.clone();
         let older = 0..terms.len().saturating_sub(1);
         for i in older.filter(|i| !shapes::has_order(model.terms[*i].kind) && !model.terms[*i].shape.is_empty()) {
-            let others: Vec<Term> = (0..terms.len()).filter(|j| *j != i).map(|j| terms[j].clone()).collect();
-            let regs = fit::regressors(&self.fit, &others, &self.constants);
-            let fitted = fit::assembled(&self.fit, &self.constants, &others, &regs);
-            let tied = fit::beside(&self.nuisances, terms.iter().map(|t| t.kind));
-            let nuisances = tied.as_ref().unwrap_or(&self.nuisances);
-            let scan = Scan::new(&self.fit, &self.constants, nuisances, &fitted, model.sigma);
+            let scan = self.beside_others(&terms, i, model.sigma);
             let now = scan.score(terms[i].kind, &terms[i].shape);
             if let Some((term, score)) = scan.best(terms[i].kind)
                 && now.is_none_or(|now| score.log_likelihood > now.log_likelihood + ANEW)
@@ -421,6 +415,12 @@ impl Material {
     pub fn has(&self, c: BenchChannel) -> bool {
         self.runs.iter().all(|r| r.channel(c).is_some())
     }
+}
+
+/// * `terms` of a fit in the equations where they are fitted
+fn fitted_there((m, terms): (Material, Vec<Term>), fit: &Fit) -> (Material, Fit) {
+    let model = m.polish(&m.solve(&terms, fit.sigma), 1);
+    (m, model)
 }
 
 /// Constants that nobody knows begin where a straight fit of the smoothed signals puts them.

@@ -1,12 +1,11 @@
 //! One step of a study: the leading candidates are refined beside what is in the model, and the best that is not refused is taken.
 
 use crate::equations::nuisances::Nuisance;
-use crate::search::fit::{Fit, MOST_EFFECTS, Term};
+use crate::search::fit::{Fit, MOST_EFFECTS, Term, WORTH};
 use crate::search::judge::{LEAST_GAIN, NEGATIVE, OTHERWISE, Step, TWICE, UNHEARD, judged};
 use crate::search::needed::penalised;
 use crate::search::scan;
 use crate::search::select::{Material, Ranked};
-use crate::search::verdict::WORTH;
 use sim_worker::effect::EffectKind;
 
 /// Gain of a candidate that is worth a look at pairs although it is refused alone.

@@ -7,6 +7,7 @@ use crate::search::beside::{self, Beside};
 use crate::search::days::by_days;
 use crate::search::fit::{self, Fit, MOST_EFFECTS, Term};
 use crate::search::form::{self, Strange};
+use crate::search::instead::in_place;
 use crate::search::judge::{SLOW_EXCESS, SLOWEST, Step};
 use crate::search::needed::{needed, vague};
 use crate::search::remainder;
@@ -354,7 +355,11 @@ fn studied(material: Material, tell: &dyn Fn(&str)) -> Outcome {
         Verdict::Named | Verdict::NamedWithRemainder | Verdict::Ambiguous
     );
     let strange = Trial::new(&m, &model).and_then(|trial| {
-        let law = || unlisted(&trial, &retuned).map(Strange::Unlisted);
+        let law = || {
+            in_place(&trial)
+                .or_else(|| unlisted(&trial, &retuned))
+                .map(Strange::Unlisted)
+        };
         match (told, model.terms.is_empty()) {
             (true, false) => form::strange(&trial, &retuned).or_else(law),
             // found beside the equations

@@ -4,14 +4,13 @@
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
 use crate::measured::sums::dot;
-use crate::search::fit::Fit;
-use crate::search::instead::in_place;
+use crate::search::fit::{Fit, WORTH};
 use crate::search::memory;
 use crate::search::remainder::{Regressor, bin, edges};
 use crate::search::select::Material;
 use crate::search::spectrum::{LONGEST, over_time};
 use crate::search::trial::{CLEAR, Columns, MOST, Side, Trial, torque_column};
-use crate::search::verdict::{BEYOND, WORTH};
+use crate::search::verdict::BEYOND;
 use sim_worker::effect::Equation;
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
@@ -281,9 +280,6 @@ pub fn unlisted(trial: &Trial, retuned: &Fit) -> Option<Unlisted> {
         return None;
     }
     let beside = !model.terms.is_empty();
-    if let Some(law) = (0..model.terms.len()).find_map(|t| in_place(trial, t)) {
-        return Some(law);
-    }
     // what is within the noise may keep a time of its own, or have whatever form a noise has
     if left_of < if beside { BEYOND } else { WORTH } * trial.noise() {
         return None;

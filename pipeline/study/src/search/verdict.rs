@@ -3,12 +3,10 @@
 use crate::equations::problem::Problem;
 use crate::measured::bench::Noise;
 use crate::search::beside::Beside;
-use crate::search::fit::Fit;
+use crate::search::fit::{Fit, WORTH};
 use crate::search::select::Material;
 use sim_worker::effect::{EffectKind, Equation};
 
-/// Energy over that of the noise from which an equation has an excess that is worth a share.
-pub const WORTH: f64 = 1.1;
 /// An effect is named when it and those before it explain this share of the excess energy.
 pub const NAMED_SHARE: f64 = 0.70;
 /// Energy over that of the sensors' noise from which more than the rest that a name may leave is another law (assumed): the names

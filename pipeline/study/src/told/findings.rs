@@ -285,6 +285,11 @@ impl FoundEffect {
 }
 
 impl Findings {
+    /// The effects' canonical names, in the order in which they were found.
+    pub fn names(&self) -> Vec<&str> {
+        self.effects.iter().map(|e| e.name.as_str()).collect()
+    }
+
     /// `report.json`.
     pub fn to_json(&self) -> Value {
         let effects: Vec<Value> = self
