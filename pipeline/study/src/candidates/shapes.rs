@@ -22,6 +22,16 @@ fn log(from: f64, to: f64, n: usize) -> Vec<f64> {
         .collect()
 }
 
+/// Frequency from which springs are looked for however fast the recording is [Hz], and the steps to what its rate begins with (assumed).
+const SLOWEST_HZ: f64 = 4.0;
+const SLOW_STEP: f64 = 1.27;
+
+/// Frequencies of loads on slow springs in a fast recording [Hz].
+fn slow(rate: f64) -> impl Iterator<Item = f64> {
+    let faster = |f: &f64| Some(f / SLOW_STEP);
+    std::iter::successors(Some(0.004 * rate / SLOW_STEP), faster).take_while(|f| *f > SLOWEST_HZ / SLOW_STEP)
+}
+
 /// Springs to start from that only the torque shows: a resonance is as narrow as its damping.
 pub fn unseen_springs(runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
     let (low, high) = extent(runs.iter().flat_map(|r| &r.theta).copied());
@@ -36,8 +46,9 @@ pub fn unseen_springs(runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
         })
     };
     let mut out: Vec<Vec<f64>> = log(0.004 * rate, 0.09 * rate, 14)
-        .iter()
-        .flat_map(|f| of(f, 1.0))
+        .into_iter()
+        .chain(slow(rate))
+        .flat_map(|f| of(&f, 1.0))
         .collect();
     // torques that are on time show a dull one, and one that is faster
     if runs.iter().all(Signals::on_time) {
@@ -120,7 +131,7 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
                     }
                 }
             }
-            for f in log(0.004 * rate, 0.12 * rate, 8) {
+            for f in log(0.004 * rate, 0.12 * rate, 8).into_iter().chain(slow(rate)) {
                 out.extend([0.25, 0.6].map(|share| tuned(f, share * c.inertia).to_vec()));
             }
             out

@@ -57,6 +57,9 @@ pub struct Ranked {
     pub gain: f64,
 }
 
+/// Least reciprocal of an inertia over the one before, of one round (assumed).
+const LEAST_RECIPROCAL: f64 = 0.3;
+
 impl Material {
     /// * `known` effects that the model has already
     pub fn new(mut bench: Bench, mut runs: Vec<Run>, known: &[Effect]) -> Self {
@@ -183,7 +186,11 @@ impl Material {
                 "offset" => &mut rig.offset,
                 _ => continue,
             };
-            let factor = (1.0 + x).max(0.05);
+            let factor = match n.name {
+                // the rows have the torque over it: a change is of its reciprocal
+                "inertia" if self.fit.inertia.is_some() => 1.0 / (1.0 - x).max(LEAST_RECIPROCAL),
+                _ => (1.0 + x).max(0.05),
+            };
             if *value <= 0.0 && n.name != "offset" {
                 continue;
             }

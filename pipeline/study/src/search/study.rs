@@ -19,16 +19,22 @@ use crate::search::unlisted::unlisted;
 use crate::search::verdict::{SLOW_S, Verdict, conclude};
 use sim_worker::effect::{EffectKind, Equation, Law};
 
-/// Most rounds in which constants are carried into the equations beside a new effect; two but for bristles.
+/// Most rounds in which constants are carried into the equations beside a new effect, and at the end.
 const MOST_ROUNDS: usize = 4;
-/// Change of dry friction from which another round is due (assumed).
+/// Change of dry friction from which another round is due beside bristles, of inertia, and of inertia at the end (assumed).
 const STILL_MOVES: f64 = 2e-3;
+const INERTIA_MOVES: f64 = 0.02;
+const AT_LAST: f64 = 5e-4;
 
-/// Whether what bristles are in place of is the dry friction that the equations have.
+fn moved(model: &Fit, constant: Option<usize>) -> f64 {
+    constant.map_or(0.0, |i| model.nuisance[i].abs())
+}
+
+/// Whether what bristles are in place of is the dry friction that the equations have, and the inertia theirs: torques of effects are
+/// over that.
 fn settled(m: &Material, model: &Fit) -> bool {
     let bristles = model.has(EffectKind::Presliding);
-    let moved = m.fit.dry_friction.map_or(0.0, |i| model.nuisance[i].abs());
-    !bristles || moved < STILL_MOVES
+    (!bristles || moved(model, m.fit.dry_friction) < STILL_MOVES) && moved(model, m.fit.inertia) < INERTIA_MOVES
 }
 
 /// Torque over the rms of the fit runs beyond which held-out data are beyond what was excited.
@@ -317,6 +323,12 @@ fn studied(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     let told = |t: &Term| matches!(t.kind, EffectKind::CurrentGain | EffectKind::WindingHeating);
     if let Some(loose) = one_cause(&m, &model, &first_nuisances).filter(|_| !model.terms.iter().any(told)) {
         (m, model) = loose;
+    }
+    for _ in 0..MOST_ROUNDS {
+        if model.terms.is_empty() || moved(&model, m.fit.inertia) < AT_LAST {
+            break;
+        }
+        (m, model) = m.refitted(&model);
     }
     tell("proof on held-out data");
     let (unproven, mut proofs) = prove(&m, &mut model);
