@@ -22,14 +22,16 @@ fn log(from: f64, to: f64, n: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Frequency from which springs are looked for however fast the recording is [Hz], and the steps to what its rate begins with (assumed).
+/// Frequencies from and, over the rate of a recording, to which loads are looked for that the measured motion drives without its noise
+/// [Hz], and the steps between (assumed).
 const SLOWEST_HZ: f64 = 4.0;
+const SLOW_OF_RATE: f64 = 0.02;
 const SLOW_STEP: f64 = 1.27;
 
-/// Frequencies of loads on slow springs in a fast recording [Hz].
+/// Frequencies of loads on slow springs [Hz].
 fn slow(rate: f64) -> impl Iterator<Item = f64> {
-    let faster = |f: &f64| Some(f / SLOW_STEP);
-    std::iter::successors(Some(0.004 * rate / SLOW_STEP), faster).take_while(|f| *f > SLOWEST_HZ / SLOW_STEP)
+    let faster = |f: &f64| Some(f * SLOW_STEP);
+    std::iter::successors(Some(SLOWEST_HZ), faster).take_while(move |f| *f < SLOW_OF_RATE * rate)
 }
 
 /// Springs to start from that only the torque shows: a resonance is as narrow as its damping.
@@ -39,17 +41,17 @@ pub fn unseen_springs(runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
         return vec![];
     }
     let rate = runs[0].rate_hz;
+    let shares = |f: f64| [0.15, 0.35, 0.6].map(|share| tuned(f, share * c.inertia));
     let of = |f: &f64, dull: f64| {
-        [0.15, 0.35, 0.6].map(|share| {
-            let [stiffness, damping, inertia] = tuned(*f, share * c.inertia);
-            springs::by_torque([stiffness, dull * damping, inertia])
-        })
+        let dulled = |[stiffness, damping, inertia]: [f64; 3]| springs::by_torque([stiffness, dull * damping, inertia]);
+        shares(*f).map(dulled)
     };
     let mut out: Vec<Vec<f64>> = log(0.004 * rate, 0.09 * rate, 14)
-        .into_iter()
-        .chain(slow(rate))
-        .flat_map(|f| of(&f, 1.0))
+        .iter()
+        .flat_map(|f| of(f, 1.0))
         .collect();
+    // what swings slowly shows in the motion, and a torque that is not known whole would carry it away
+    out.extend(slow(rate).flat_map(shares).map(springs::by_motion));
     // torques that are on time show a dull one, and one that is faster
     if runs.iter().all(Signals::on_time) {
         out.extend(log(0.02 * rate, 0.15 * rate, 6).iter().flat_map(|f| of(f, DULL)));
@@ -131,7 +133,7 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
                     }
                 }
             }
-            for f in log(0.004 * rate, 0.12 * rate, 8).into_iter().chain(slow(rate)) {
+            for f in log(0.004 * rate, 0.12 * rate, 8) {
                 out.extend([0.25, 0.6].map(|share| tuned(f, share * c.inertia).to_vec()));
             }
             out

@@ -28,6 +28,11 @@ pub(super) fn by_torque([stiffness, damping, inertia]: [f64; 3]) -> Vec<f64> {
     vec![stiffness, damping, inertia, BY_TORQUE, BEYOND]
 }
 
+/// The same where the measured motion drives it.
+pub(super) fn by_motion([stiffness, damping, inertia]: [f64; 3]) -> Vec<f64> {
+    vec![stiffness, damping, inertia, 0.0, BEYOND]
+}
+
 /// Angle [rad] and speed [rad/s] of the load less the motor's.
 type Swings = (Vec<f64>, Vec<f64>);
 
