@@ -4,7 +4,7 @@
 use crate::candidates::bristles::{STATIC, breaks_away, dahl};
 use crate::candidates::loads::loose;
 use crate::candidates::phases::{BRIDGED, LEGS, WARM, of_phases};
-use crate::candidates::shapes::SQUARE;
+use crate::candidates::shapes::{SQUARE, STOPS_AT_ONCE};
 use crate::candidates::springs;
 use crate::equations::phases::SUPPLY;
 use crate::equations::pieces::{Column, Piece, RigConstants};
@@ -351,8 +351,10 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
         }
         EffectKind::Backlash => {
             if s.user.is_some() {
-                let bounce = shape.get(3).copied().unwrap_or(0.0);
-                let (followed, speed) = loose(s, 0.5 * shape[0], shape[1], shape[2], bounce);
+                // the gap alone, or a load that runs on by itself: slowed down, pushed by what loads it, bouncing
+                let further = |i: usize, alone: f64| shape.get(i).copied().unwrap_or(alone);
+                let (slowing, pushed, bounce) = (further(1, STOPS_AT_ONCE), further(2, 0.0), further(3, 0.0));
+                let (followed, speed) = loose(s, 0.5 * shape[0], slowing, pushed, bounce);
                 let signal = followed.iter().zip(&s.theta).map(|(u, t)| u - t);
                 out.fixed.push(Piece::of(Equation::Transmission, 0, signal.collect()));
                 // what the motor feels of the load beyond a rigid shaft: its friction, its inertia
@@ -493,7 +495,7 @@ pub fn parts(e: &Effect, coulomb: f64, hottest: f64) -> (Vec<f64>, Vec<f64>) {
             (vec![of_speed], vec![v[0] * v[1].cos(), v[0] * v[1].sin(), 0.0, 0.0])
         }
         Form::Periodic => (v[2..].to_vec(), vec![v[0] * v[1].cos(), -v[0] * v[1].sin()]),
-        Form::Shape if e.kind == EffectKind::Backlash => (vec![v[0], 1e6, 0.0], vec![0.0, 0.0]),
+        Form::Shape if e.kind == EffectKind::Backlash => (vec![v[0]], vec![0.0, 0.0]),
         Form::Shape if e.kind == EffectKind::CommutationOffset => (vec![v[0], 1.0], vec![]),
         Form::Shape => (v.to_vec(), vec![]),
         Form::Presliding => {

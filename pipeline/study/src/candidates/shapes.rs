@@ -34,6 +34,9 @@ fn slow(rate: f64) -> impl Iterator<Item = f64> {
     std::iter::successors(Some(SLOWEST_HZ), faster).take_while(move |f| *f < SLOW_OF_RATE * rate)
 }
 
+/// Slowing of a load that never runs on by itself in its play [rad/s2].
+pub const STOPS_AT_ONCE: f64 = 1e6;
+
 /// Springs to start from that only the torque shows: a resonance is as narrow as its damping.
 pub fn unseen_springs(runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
     let (low, high) = extent(runs.iter().flat_map(|r| &r.theta).copied());
@@ -113,7 +116,7 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
             let usual = c.effect.coulomb / c.inertia;
             let of = |&g: &f64| {
                 let slow = [3.0, 1.0, 0.3].map(|of| vec![g, of * usual, free, BOUNCE]);
-                [vec![g, 1e6, 0.0]].into_iter().chain(slow)
+                [vec![g, STOPS_AT_ONCE, 0.0]].into_iter().chain(slow)
             };
             gaps.iter().flat_map(of).collect()
         }

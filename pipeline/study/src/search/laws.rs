@@ -5,14 +5,31 @@ use crate::candidates::shapes;
 use crate::candidates::springs::BY_TORQUE;
 use crate::measured::sums::dot;
 use crate::search::fit::{Fit, Regressor, Term};
-use crate::search::needed::penalised;
+use crate::search::needed::{CERTAIN, penalised};
 use crate::search::select::Material;
 use sim_worker::effect::{EffectKind, Equation};
 
 impl Material {
     /// A model with each law that another stands for and that tells the data better.
     pub(super) fn by_other_laws(&self, model: Fit) -> Fit {
-        self.by_break_away(self.by_another_iron(self.by_motion(model)))
+        self.by_break_away(self.by_another_iron(self.by_play_alone(self.by_motion(model))))
+    }
+
+    /// A model whose load runs on by itself in its play, with one that never does unless that is certain: a load that no fit run lets go
+    /// would be let go by another.
+    fn by_play_alone(&self, model: Fit) -> Fit {
+        let mut terms = model.terms.clone();
+        let runs_on = |t: &&mut Term| t.kind == EffectKind::Backlash && t.shape.len() > 1;
+        let Some(play) = terms.iter_mut().find(runs_on) else {
+            return model;
+        };
+        play.shape.truncate(1);
+        let alone = self.polish(&self.solve(&terms, model.sigma), 2);
+        if penalised(self, &alone) > penalised(self, &model) - CERTAIN {
+            alone
+        } else {
+            model
+        }
     }
 
     /// A model whose springs were found by the torque, with these driven by the measured motion where that tells the data better: the

@@ -16,8 +16,8 @@ const VAGUE: f64 = 0.7;
 const VAGUE_SPRING: f64 = 0.4;
 /// The same from which the interval holds nothing: such an effect is none, whatever the fit gains by it.
 const NOTHING: f64 = 1.0;
-/// Gain of an effect that is there though its interval is wide.
-const CERTAIN: f64 = 60.0;
+/// Gain of what is there though its interval is wide.
+pub(super) const CERTAIN: f64 = 60.0;
 /// Share of the dry friction that a friction of the speed has at least beside bristles (assumed).
 const LEAST_BESIDE_BRISTLES: f64 = 0.02;
 

@@ -265,6 +265,7 @@ impl<'a> Scan<'a> {
             .into_par_iter()
             .filter(|s| self.inside(kind, s))
             .filter_map(|s| self.score(kind, &s).map(|x| (s, x)))
+            .filter(|(_, score)| !unseen || self.shown(score))
             .collect();
         scored.sort_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood));
         // of a spring the nearest start leads to the nearest resonance
@@ -283,6 +284,7 @@ impl<'a> Scan<'a> {
         }
         let best = scored.par_iter().rev().take(starts);
         best.map(|(shape, score)| self.refined(kind, shape, score, steps))
+            .filter(|(_, score)| !unseen || self.shown(score))
             .max_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood))
     }
 
@@ -456,6 +458,12 @@ impl<'a> Scan<'a> {
             LEAST_NOISE * p.sensor_energy(e.index())
         };
         self.none.energy[e.index()] > noise
+    }
+
+    /// Whether the torque is told better: of two motions that agree better, sensors are the usual reason.
+    fn shown(&self, score: &Score) -> bool {
+        let torque = Equation::Torque.index();
+        score.energy[torque] < self.none.energy[torque]
     }
 
     /// Whether a load on its spring swings so that the torque alone shows it: what is faster than the samples follow is a torque that is

@@ -181,7 +181,8 @@ impl Material {
                     return None;
                 }
                 let pair = self.polish(&self.with(&alone, &second.term), 2);
-                let gain = penalised(self, &pair) - penalised(self, model);
+                let usual: f64 = pair.terms[model.terms.len()..].iter().map(usual).sum();
+                let gain = penalised(self, &pair) - penalised(self, model) + usual;
                 Some((pair, gain))
             })
             .collect();

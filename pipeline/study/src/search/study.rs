@@ -237,8 +237,15 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
     tell("once more, with frictions of each file's own");
     let apart = studied(alike.material.again(by_days(bench, true), nuisances, excess), tell);
-    // what an effect makes is no friction of a day, and what was well without days needs nothing more with them
-    let more = apart.model.terms.len() > alike.model.terms.len() && alike.verdict != Verdict::Unknown;
+    // what an effect makes is no friction of a day, and what was well without days needs nothing with them that was not seen before
+    let fit_alike: Vec<EffectKind> = alike.steps.iter().flat_map(|s| s.taken.iter().copied()).collect();
+    let found = apart
+        .model
+        .terms
+        .iter()
+        .filter(|t| !fit_alike.contains(&t.kind))
+        .count();
+    let more = found > 0 && alike.verdict != Verdict::Unknown;
     if !more && apart.material.days_apart(&apart.model) {
         apart
     } else {
