@@ -236,10 +236,12 @@ impl Material {
 
 #[cfg(test)]
 mod tests {
-    use crate::measured::prescribed::rig;
+    use crate::measured::prescribed::{INERTIA, rig};
     use crate::search::select::Material;
     use crate::search::study::study;
     use crate::search::verdict::Verdict;
+    use std::cell::RefCell;
+    use std::f64::consts::TAU;
 
     /// Beside a friction that is there the rest of it is three times what it is without: a first order around that ends at a drag below 0.
     #[test]
@@ -251,5 +253,44 @@ mod tests {
         assert_eq!((o.verdict, names), (Verdict::Named, vec!["lubricated_rise"]));
         let found = o.model.terms[0].amplitudes[0];
         assert!((found / torque - 1.0).abs() < 0.1, "{found}");
+    }
+
+    /// A cogging goes with the acceleration: without it half of the inertia is seen, around which its torque is half.
+    #[test]
+    fn a_torque_is_over_the_inertia_that_is_there() {
+        let torque = 0.2;
+        let (bench, runs) = rig(|_, [_, x, ..]| torque * (2.0 * x - 1.5).cos());
+        let o = study(Material::new(bench, runs, &[]), &|_| {});
+        let names: Vec<&str> = o.model.terms.iter().map(|t| t.kind.name()).collect();
+        assert_eq!((o.verdict, names), (Verdict::Named, vec!["cogging"]));
+        let found = o.model.terms[0].amplitudes[0].hypot(o.model.terms[0].amplitudes[1]);
+        assert!((found / torque - 1.0).abs() < 0.01, "{found}");
+    }
+
+    /// Of a load that swings at 3.5 Hz a torque that is not known whole says nothing: the motion says it.
+    #[test]
+    fn a_load_on_a_slow_spring_is_found_by_the_motion() {
+        let load = 0.6 * INERTIA;
+        let (stiffness, damping) = (load * (TAU * 3.5).powi(2), 0.1 * load * TAU * 3.5);
+        let state = RefCell::new((0.0, 0.0));
+        let (bench, runs) = rig(|_, [t, x, w, a, _]| {
+            let (mut angle, mut speed) = if t == 0.0 { (x, w) } else { *state.borrow() };
+            let steps = 20;
+            let dt = 1e-3 / f64::from(steps);
+            let torque = |angle: f64, speed: f64, x: f64, w: f64| stiffness * (x - angle) + damping * (w - speed);
+            let now = torque(angle, speed, x, w);
+            for k in 0..steps {
+                let h = f64::from(k) * dt;
+                speed += torque(angle, speed, x + w * h, w + a * h) / load * dt;
+                angle += speed * dt;
+            }
+            state.replace((angle, speed));
+            now - load * a
+        });
+        let o = study(Material::new(bench, runs, &[]), &|_| {});
+        let names: Vec<&str> = o.model.terms.iter().map(|t| t.kind.name()).collect();
+        assert_eq!((o.verdict, names), (Verdict::Named, vec!["compliance"]));
+        let found = o.model.terms[0].shape[0];
+        assert!((found / stiffness - 1.0).abs() < 0.05, "{found} {stiffness}");
     }
 }
