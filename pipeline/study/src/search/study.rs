@@ -237,15 +237,12 @@ pub fn study(material: Material, tell: &dyn Fn(&str)) -> Outcome {
     }
     tell("once more, with frictions of each file's own");
     let apart = studied(alike.material.again(by_days(bench, true), nuisances, excess), tell);
-    // what an effect makes is no friction of a day, and what was well without days needs nothing with them that was not seen before
-    let fit_alike: Vec<EffectKind> = alike.steps.iter().flat_map(|s| s.taken.iter().copied()).collect();
-    let found = apart
-        .model
-        .terms
-        .iter()
-        .filter(|t| !fit_alike.contains(&t.kind))
-        .count();
-    let more = found > 0 && alike.verdict != Verdict::Unknown;
+    // what an effect makes is no friction of a day, and what was well without days needs nothing with them but what the fit runs had
+    // already asked for, where that then is all
+    let asked: Vec<EffectKind> = alike.steps.iter().flat_map(|s| s.taken.iter().copied()).collect();
+    let new = apart.model.terms.iter().any(|t| !asked.contains(&t.kind));
+    let added = apart.model.terms.len() > alike.model.terms.len();
+    let more = added && (new || apart.verdict == Verdict::Unknown) && alike.verdict != Verdict::Unknown;
     if !more && apart.material.days_apart(&apart.model) {
         apart
     } else {
