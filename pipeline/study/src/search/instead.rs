@@ -104,7 +104,9 @@ fn halves(trial: &Trial, term: usize) -> Option<Unlisted> {
     let same = |t: &Term| (t.shape[0] - cogging.shape[0]).abs() * (high - low) < TAU;
     let is_half = |t: &Term| t.kind == EffectKind::PeriodicFriction && same(t);
     let half = model.terms.iter().position(is_half)?;
-    let less = m.without(&m.without(model, term.max(half)), term.min(half));
+    let mut less = m.without(&m.without(model, term.max(half)), term.min(half));
+    // what is left without them is no noise: by that both would leave as little
+    less.sigma = model.sigma;
     let (left_of, trial) = (trial.left(), trial.of(&less));
     let order = cogging.shape[0];
     let of = |p: &Problem, way: f64| -> Vec<Vec<f64>> {
