@@ -60,6 +60,9 @@ pub struct Ranked {
 /// Least reciprocal of an inertia over the one before, of one round (assumed).
 const LEAST_RECIPROCAL: f64 = 0.3;
 
+/// Rounds in which constants are carried into equations that are set up afresh.
+const ROUNDS_AFRESH: usize = 3;
+
 impl Material {
     /// * `known` effects that the model has already
     pub fn new(mut bench: Bench, mut runs: Vec<Run>, known: &[Effect]) -> Self {
@@ -236,7 +239,7 @@ impl Material {
     pub(super) fn afresh(&self, fit: &Fit) -> (Self, Fit) {
         let mut m = self.again(self.bench.clone(), self.nuisances.clone(), (0.0, self.excess.1));
         let mut model = m.polish(&m.solve(&fit.terms, m.first_sigma()), 1);
-        for _ in 0..2 {
+        for _ in 0..ROUNDS_AFRESH {
             (m, model) = m.refitted(&model);
         }
         (m, model)
