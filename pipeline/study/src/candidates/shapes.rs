@@ -54,7 +54,9 @@ pub fn unseen_springs(runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
         .flat_map(|f| of(f, 1.0))
         .collect();
     // what swings slowly shows in the motion, and a torque that is not known whole would carry it away
-    out.extend(slow(rate).flat_map(shares).map(springs::by_motion));
+    if runs.iter().all(|r| r.phases.is_none()) {
+        out.extend(slow(rate).flat_map(shares).map(springs::by_motion));
+    }
     // torques that are on time show a dull one, and one that is faster
     if runs.iter().all(Signals::on_time) {
         out.extend(log(0.02 * rate, 0.15 * rate, 6).iter().flat_map(|f| of(f, DULL)));

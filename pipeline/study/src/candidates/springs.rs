@@ -10,6 +10,8 @@ use sim_worker::effect::Equation;
 
 /// Fourth shape parameter of a spring that the torque drives, not the measured motion.
 pub const BY_TORQUE: f64 = 1.0;
+/// The same of a slow one that the measured motion drives, which is looked for without a sensor that sees it.
+const SLOW: f64 = 0.5;
 /// Fifth shape parameter of a spring beyond the user's sensor, which turns with the motor.
 const BEYOND: f64 = 1.0;
 
@@ -28,9 +30,14 @@ pub(super) fn by_torque([stiffness, damping, inertia]: [f64; 3]) -> Vec<f64> {
     vec![stiffness, damping, inertia, BY_TORQUE, BEYOND]
 }
 
-/// The same where the measured motion drives it.
+/// The same where the measured motion drives it, and it is slow.
 pub(super) fn by_motion([stiffness, damping, inertia]: [f64; 3]) -> Vec<f64> {
-    vec![stiffness, damping, inertia, 0.0, BEYOND]
+    vec![stiffness, damping, inertia, SLOW, BEYOND]
+}
+
+/// Whether it is one of these.
+pub fn is_slow(shape: &[f64]) -> bool {
+    shape.get(3) == Some(&SLOW)
 }
 
 /// Angle [rad] and speed [rad/s] of the load less the motor's.

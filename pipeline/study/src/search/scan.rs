@@ -2,7 +2,7 @@
 
 use crate::candidates::columns::{self, Form};
 use crate::candidates::shapes;
-use crate::candidates::springs::{is_seen, resonance};
+use crate::candidates::springs::{is_seen, is_slow, resonance};
 use crate::equations::nuisances::Nuisance;
 use crate::equations::pieces::RigConstants;
 use crate::equations::problem::Problem;
@@ -265,7 +265,7 @@ impl<'a> Scan<'a> {
             .into_par_iter()
             .filter(|s| self.inside(kind, s))
             .filter_map(|s| self.score(kind, &s).map(|x| (s, x)))
-            .filter(|(_, score)| !unseen || self.shown(score))
+            .filter(|(shape, score)| !unseen || self.shown(shape, score))
             .collect();
         scored.sort_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood));
         // of a spring the nearest start leads to the nearest resonance
@@ -284,7 +284,7 @@ impl<'a> Scan<'a> {
         }
         let best = scored.par_iter().rev().take(starts);
         best.map(|(shape, score)| self.refined(kind, shape, score, steps))
-            .filter(|(_, score)| !unseen || self.shown(score))
+            .filter(|(term, score)| !unseen || self.shown(&term.shape, score))
             .max_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood))
     }
 
@@ -460,10 +460,10 @@ impl<'a> Scan<'a> {
         self.none.energy[e.index()] > noise
     }
 
-    /// Whether the torque is told better: of two motions that agree better, sensors are the usual reason.
-    fn shown(&self, score: &Score) -> bool {
+    /// Whether the torque is told better by a load that the motion drives: of two motions that agree better, sensors are the usual reason.
+    fn shown(&self, shape: &[f64], score: &Score) -> bool {
         let torque = Equation::Torque.index();
-        score.energy[torque] < self.none.energy[torque]
+        !is_slow(shape) || score.energy[torque] < (1.0 - LEAST_SHARE) * self.none.energy[torque]
     }
 
     /// Whether a load on its spring swings so that the torque alone shows it: what is faster than the samples follow is a torque that is
@@ -476,6 +476,7 @@ impl<'a> Scan<'a> {
         } else {
             (MOST_DAMPED, MOST_SWING)
         };
+        let most_swing = if is_slow(shape) { MOST_SWING_SLOW } else { most_swing };
         lighter > LEAST_SIDE * self.constants.inertia
             && damped < most_damped
             && swing < most_swing * std::f64::consts::TAU * self.problem.clock.rate_hz
@@ -505,6 +506,10 @@ const MOST_DAMPED: f64 = 0.25;
 const MOST_SWING_ON_TIME: f64 = 0.2;
 const MOST_DAMPED_ON_TIME: f64 = 0.5;
 const LEAST_SIDE: f64 = 0.05;
+/// Of one that the measured motion drives: most frequency, and share of the torque's gap that it takes (assumed). Faster ones swallow the
+/// motion's noise.
+const MOST_SWING_SLOW: f64 = 0.03;
+const LEAST_SHARE: f64 = 0.2;
 /// Of one of these (assumed): energy of the torque's gap over that of its noise from which it is looked for, gain in log-likelihood of
 /// the best of the grid from which that is refined, and how many of the grid are.
 const LEAST_NOISE: f64 = 1.2;
