@@ -34,9 +34,6 @@ fn slow(rate: f64) -> impl Iterator<Item = f64> {
     std::iter::successors(Some(SLOWEST_HZ), faster).take_while(move |f| *f < SLOW_OF_RATE * rate)
 }
 
-/// Slowing of a load that never runs on by itself in its play [rad/s2].
-pub const STOPS_AT_ONCE: f64 = 1e6;
-
 /// Springs to start from that only the torque shows: a resonance is as narrow as its damping.
 pub fn unseen_springs(runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64>> {
     let (low, high) = extent(runs.iter().flat_map(|r| &r.theta).copied());
@@ -182,6 +179,8 @@ pub fn grid(kind: EffectKind, runs: &[Signals], c: &RigConstants) -> Vec<Vec<f64
     }
 }
 
+/// Slowing of a load that never runs on by itself in its play [rad/s2].
+pub const STOPS_AT_ONCE: f64 = 1e6;
 /// Share of its speed with which a load bounces off, to begin with.
 const BOUNCE: f64 = 0.3;
 

@@ -195,16 +195,13 @@ impl Signals {
             .as_ref()
             .zip(bench.rig.controller.as_ref())
             .map(|(command, law)| {
-                let position = if law.on_user {
-                    user.as_ref().unwrap_or(&position)
-                } else {
-                    &position
-                };
+                let position = user.as_ref().filter(|_| law.on_user).unwrap_or(&position);
                 // as it is recorded, whether by a sensor or not: a speed that is smoothed turns no corner as sharply as the drive does
                 let recorded = run.law_speed.as_ref().zip(bench.law_speed.as_ref());
-                let speed = recorded.map(|(x, spec)| shifted(x, clock.shift_of(spec) * rate_hz));
-                let measured = at(BenchChannel::Velocity).filter(|_| !law.differenced);
-                let speed = speed.or(measured);
+                let measured = || (!law.differenced).then(|| at(BenchChannel::Velocity)).flatten();
+                let speed = recorded
+                    .map(|(x, spec)| shifted(x, clock.shift_of(spec) * rate_hz))
+                    .or_else(measured);
                 demanded(law, command, position, speed.as_ref().unwrap_or(&omega), rate_hz)
             });
         let (mut theta, mut omega, mut accel) = (theta, omega, accel);

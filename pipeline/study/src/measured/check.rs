@@ -321,6 +321,9 @@ fn drive(bench: &Bench, runs: &[&Run]) -> Result<()> {
 /// Share of the torque's energy from which friction is seen to brake (assumed).
 const BRAKED: f64 = 0.1;
 
+/// Share of the torque's energy that no other term explains from which friction is told from a weight (assumed).
+const TELLS: f64 = 0.1;
+
 /// Cosine between torque and speed from which the drive is seen to do work (assumed): a spring and an inertia take none.
 const WORKS: f64 = 0.05;
 
@@ -347,10 +350,8 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
     let share = |term: usize| x[term] * x[term] * g[(term, term)] / energy.max(1e-300);
     let (told, frictional) = (share(0) > 0.02, share(2));
     // an axis that mostly goes one way cannot tell friction from weight: what friction alone explains decides there
-    let own = |term: usize| {
-        let conditional = g.try_inverse().map_or(0.0, |v| 1.0 / v[(term, term)].max(1e-300));
-        x[term] * x[term] * conditional / energy.max(1e-300)
-    };
+    let by_itself = g.try_inverse().map_or(0.0, |v| 1.0 / v[(2, 2)].max(1e-300));
+    let by_friction = x[2] * x[2] * by_itself / energy.max(1e-300);
     // nobody's sign or unit makes an inertia negative and leaves a friction that brakes: a spring does
     let braked: f64 = [1, 2].iter().map(|t| x[*t].signum() * share(*t)).sum();
     let works = r[1] > WORKS * (g[(1, 1)] * energy).sqrt();
@@ -358,7 +359,7 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
         return Ok(None);
     }
     if (told && x[0] < 0.0 && (x[2] < 0.0 || frictional < 0.05))
-        || (x[2] < 0.0 && frictional > 0.2 && own(2) > 0.1 && (x[0] < 0.0 || !told))
+        || (x[2] < 0.0 && frictional > 0.2 && by_friction > TELLS && (x[0] < 0.0 || !told))
     {
         let found = "a torque against the motion (likely cause: reversed sign of the drive signal or of the position)";
         let allowed = "torque, speed and position of one sense";

@@ -74,15 +74,12 @@ fn spread(m: &Material, fit: &Fit) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::measured::prescribed::rig;
-    use crate::search::study::{Outcome, study};
+    use crate::search::study::{Outcome, of_rig};
     use crate::search::verdict::Verdict;
 
     /// Of a rig whose runs have so much more dry friction [N m] each.
     fn studied(more: [f64; 3], besides: impl Fn([f64; 5]) -> f64) -> Outcome {
-        let (bench, runs) = rig(|run, at| more[run] * at[2].signum() + besides(at));
-        study(Material::new(bench, runs, &[]), &|_| {})
+        of_rig(|run, at| more[run] * at[2].signum() + besides(at))
     }
 
     fn names(o: &Outcome) -> Vec<&str> {

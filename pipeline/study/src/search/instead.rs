@@ -129,15 +129,12 @@ fn halves(trial: &Trial, term: usize) -> Option<Unlisted> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measured::prescribed::rig;
     use crate::search::form::Strange;
-    use crate::search::select::Material;
-    use crate::search::study::study;
+    use crate::search::study::of_rig;
     use crate::search::verdict::Verdict;
 
     fn law(besides: impl Fn([f64; 5]) -> f64) -> Option<Law> {
-        let (bench, runs) = rig(|_, at| besides(at));
-        let o = study(Material::new(bench, runs, &[]), &|_| {});
+        let o = of_rig(|_, at| besides(at));
         let names: Vec<_> = o.model.terms.iter().map(|t| t.kind.name()).collect();
         match o.strange {
             Some(Strange::Unlisted(u)) => {

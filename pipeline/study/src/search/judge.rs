@@ -30,8 +30,6 @@ pub(super) const SLOW_EXCESS: f64 = 1.5;
 const SLOWER_PART: f64 = 0.8;
 /// Smallest share of the transmission's excess that a spring in it must explain; of the torque's, where that is on time (assumed).
 const LEAST_BENT: f64 = 0.5;
-/// Share of the torque's gap that a spring takes which only the torque shows, of a rig (assumed).
-const LEAST_HEARD: f64 = 0.2;
 /// Most damping ratio of its resonance, of a rig (assumed); the search goes a little further.
 const MOST_DAMPED_SHAFT: f64 = 0.2;
 /// Gap of the transmission over its noise from which a load is not where it is thought to be (assumed).
@@ -272,7 +270,7 @@ fn unheard(m: &Material, model: &Fit, next: &Fit) -> bool {
     let dull = |t: &Term| {
         t.kind == EffectKind::Compliance && springs::resonance(&t.shape, m.constants.inertia).1 > MOST_DAMPED_SHAFT
     };
-    after > (1.0 - LEAST_HEARD) * before || next.terms.iter().any(dull)
+    after > (1.0 - scan::LEAST_HEARD) * before || next.terms.iter().any(dull)
 }
 
 /// Whether a spring is new in a model, with its load seen by a second sensor or not.

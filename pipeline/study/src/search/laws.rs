@@ -18,18 +18,14 @@ impl Material {
     /// A model whose load runs on by itself in its play, with one that never does unless that is certain: a load that no fit run lets go
     /// would be let go by another.
     fn by_play_alone(&self, model: Fit) -> Fit {
-        let mut terms = model.terms.clone();
-        let runs_on = |t: &&mut Term| t.kind == EffectKind::Backlash && t.shape.len() > 1;
-        let Some(play) = terms.iter_mut().find(runs_on) else {
-            return model;
+        let alone = |t: &mut Term| {
+            let runs_on = t.kind == EffectKind::Backlash && t.shape.len() > 1;
+            if runs_on {
+                t.shape.truncate(1);
+            }
+            runs_on
         };
-        play.shape.truncate(1);
-        let alone = self.polish(&self.solve(&terms, model.sigma), 2);
-        if penalised(self, &alone) > penalised(self, &model) - CERTAIN {
-            alone
-        } else {
-            model
-        }
+        self.unless_worse(model, CERTAIN, alone)
     }
 
     /// A model whose springs were found by the torque, with these driven by the measured motion where that tells the data better: the
@@ -125,15 +121,21 @@ impl Material {
     }
 
     /// A model with terms changed, and solved again, where that tells the data better.
-    ///
-    /// * `change` of a term; whether it is one that changes
     fn if_better(&self, model: Fit, change: impl Fn(&mut Term) -> bool) -> Fit {
+        self.unless_worse(model, 0.0, change)
+    }
+
+    /// The same unless it tells them worse.
+    ///
+    /// * `by` log-likelihood that it may lose
+    /// * `change` of a term; whether it is one that changes
+    fn unless_worse(&self, model: Fit, by: f64, change: impl Fn(&mut Term) -> bool) -> Fit {
         let mut terms = model.terms.clone();
         if terms.iter_mut().map(change).filter(|changed| *changed).count() == 0 {
             return model;
         }
         let changed = self.polish(&self.solve(&terms, model.sigma), 2);
-        if penalised(self, &changed) > penalised(self, &model) {
+        if penalised(self, &changed) > penalised(self, &model) - by {
             changed
         } else {
             model

@@ -463,7 +463,7 @@ impl<'a> Scan<'a> {
     /// Whether the torque is told better by a load that the motion drives: of two motions that agree better, sensors are the usual reason.
     fn shown(&self, shape: &[f64], score: &Score) -> bool {
         let torque = Equation::Torque.index();
-        !is_slow(shape) || score.energy[torque] < (1.0 - LEAST_SHARE) * self.none.energy[torque]
+        !is_slow(shape) || score.energy[torque] < (1.0 - LEAST_HEARD) * self.none.energy[torque]
     }
 
     /// Whether a load on its spring swings so that the torque alone shows it: what is faster than the samples follow is a torque that is
@@ -471,12 +471,11 @@ impl<'a> Scan<'a> {
     fn resounds(&self, shape: &[f64]) -> bool {
         let (swing, damped) = resonance(shape, self.constants.inertia);
         let lighter = shape[2].min(self.constants.inertia - shape[2]);
-        let (most_damped, most_swing) = if self.problem.on_time() {
-            (MOST_DAMPED_ON_TIME, MOST_SWING_ON_TIME)
-        } else {
-            (MOST_DAMPED, MOST_SWING)
+        let (most_damped, most_swing) = match (self.problem.on_time(), is_slow(shape)) {
+            (_, true) => (MOST_DAMPED, MOST_SWING_SLOW),
+            (true, false) => (MOST_DAMPED_ON_TIME, MOST_SWING_ON_TIME),
+            (false, false) => (MOST_DAMPED, MOST_SWING),
         };
-        let most_swing = if is_slow(shape) { MOST_SWING_SLOW } else { most_swing };
         lighter > LEAST_SIDE * self.constants.inertia
             && damped < most_damped
             && swing < most_swing * std::f64::consts::TAU * self.problem.clock.rate_hz
@@ -506,10 +505,10 @@ const MOST_DAMPED: f64 = 0.25;
 const MOST_SWING_ON_TIME: f64 = 0.2;
 const MOST_DAMPED_ON_TIME: f64 = 0.5;
 const LEAST_SIDE: f64 = 0.05;
-/// Of one that the measured motion drives: most frequency, and share of the torque's gap that it takes (assumed). Faster ones swallow the
-/// motion's noise.
+/// Most frequency of one that the measured motion drives (assumed): faster ones swallow the motion's noise.
 const MOST_SWING_SLOW: f64 = 0.03;
-const LEAST_SHARE: f64 = 0.2;
+/// Share of the torque's gap that a spring takes which only the torque shows, of a rig (assumed).
+pub(super) const LEAST_HEARD: f64 = 0.2;
 /// Of one of these (assumed): energy of the torque's gap over that of its noise from which it is looked for, gain in log-likelihood of
 /// the best of the grid from which that is refined, and how many of the grid are.
 const LEAST_NOISE: f64 = 1.2;

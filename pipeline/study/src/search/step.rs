@@ -236,10 +236,10 @@ impl Material {
 
 #[cfg(test)]
 mod tests {
-    use crate::measured::prescribed::{INERTIA, rig};
-    use crate::search::select::Material;
-    use crate::search::study::study;
+    use crate::measured::prescribed::INERTIA;
+    use crate::search::study::of_rig;
     use crate::search::verdict::Verdict;
+    use sim_worker::effect::EffectKind;
     use std::cell::RefCell;
     use std::f64::consts::TAU;
 
@@ -247,10 +247,11 @@ mod tests {
     #[test]
     fn a_friction_that_rises_to_three_times_as_much_is_found() {
         let (torque, speed) = (0.45, 2.0);
-        let (bench, runs) = rig(|_, [_, _, w, ..]| torque * (1.0 - (-w.abs() / speed).exp()) * w.signum());
-        let o = study(Material::new(bench, runs, &[]), &|_| {});
-        let names: Vec<&str> = o.model.terms.iter().map(|t| t.kind.name()).collect();
-        assert_eq!((o.verdict, names), (Verdict::Named, vec!["lubricated_rise"]));
+        let o = of_rig(|_, [_, _, w, ..]| torque * (1.0 - (-w.abs() / speed).exp()) * w.signum());
+        assert_eq!(
+            (o.verdict, o.model.kinds()),
+            (Verdict::Named, vec![EffectKind::LubricatedRise])
+        );
         let found = o.model.terms[0].amplitudes[0];
         assert!((found / torque - 1.0).abs() < 0.1, "{found}");
     }
@@ -259,10 +260,11 @@ mod tests {
     #[test]
     fn a_torque_is_over_the_inertia_that_is_there() {
         let torque = 0.2;
-        let (bench, runs) = rig(|_, [_, x, ..]| torque * (2.0 * x - 1.5).cos());
-        let o = study(Material::new(bench, runs, &[]), &|_| {});
-        let names: Vec<&str> = o.model.terms.iter().map(|t| t.kind.name()).collect();
-        assert_eq!((o.verdict, names), (Verdict::Named, vec!["cogging"]));
+        let o = of_rig(|_, [_, x, ..]| torque * (2.0 * x - 1.5).cos());
+        assert_eq!(
+            (o.verdict, o.model.kinds()),
+            (Verdict::Named, vec![EffectKind::Cogging])
+        );
         let found = o.model.terms[0].amplitudes[0].hypot(o.model.terms[0].amplitudes[1]);
         assert!((found / torque - 1.0).abs() < 0.01, "{found}");
     }
@@ -273,7 +275,7 @@ mod tests {
         let load = 0.6 * INERTIA;
         let (stiffness, damping) = (load * (TAU * 3.5).powi(2), 0.1 * load * TAU * 3.5);
         let state = RefCell::new((0.0, 0.0));
-        let (bench, runs) = rig(|_, [t, x, w, a, _]| {
+        let o = of_rig(|_, [t, x, w, a, _]| {
             let (mut angle, mut speed) = if t == 0.0 { (x, w) } else { *state.borrow() };
             let steps = 20;
             let dt = 1e-3 / f64::from(steps);
@@ -287,9 +289,10 @@ mod tests {
             state.replace((angle, speed));
             now - load * a
         });
-        let o = study(Material::new(bench, runs, &[]), &|_| {});
-        let names: Vec<&str> = o.model.terms.iter().map(|t| t.kind.name()).collect();
-        assert_eq!((o.verdict, names), (Verdict::Named, vec!["compliance"]));
+        assert_eq!(
+            (o.verdict, o.model.kinds()),
+            (Verdict::Named, vec![EffectKind::Compliance])
+        );
         let found = o.model.terms[0].shape[0];
         assert!((found / stiffness - 1.0).abs() < 0.05, "{found} {stiffness}");
     }

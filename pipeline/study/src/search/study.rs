@@ -479,3 +479,10 @@ fn prove(m: &Material, model: &mut Fit) -> (Vec<EffectKind>, Vec<Proof>) {
         return (unproven, proofs);
     }
 }
+
+/// Study of a rig that has something besides, for tests.
+#[cfg(test)]
+pub(super) fn of_rig(besides: impl Fn(usize, [f64; 5]) -> f64) -> Outcome {
+    let (bench, runs) = crate::measured::prescribed::rig(besides);
+    study(Material::new(bench, runs, &[]), &|_| {})
+}

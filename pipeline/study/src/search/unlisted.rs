@@ -332,16 +332,11 @@ mod tests {
     use super::*;
     use crate::measured::prescribed::{INERTIA, rig};
     use crate::search::form::Strange;
-    use crate::search::study::{Outcome, study};
+    use crate::search::study::{Outcome, of_rig, study};
     use crate::search::verdict::Verdict;
     use sim_worker::effect::EffectKind;
     use std::cell::Cell;
     use std::f64::consts::TAU;
-
-    fn studied(besides: impl Fn(usize, [f64; 5]) -> f64) -> Outcome {
-        let (bench, runs) = rig(besides);
-        study(Material::new(bench, runs, &[]), &|_| {})
-    }
 
     fn law(o: &Outcome) -> Option<Law> {
         let names: Vec<_> = o.model.terms.iter().map(|t| t.kind).collect();
@@ -354,16 +349,16 @@ mod tests {
 
     #[test]
     fn nothing_is_missing_where_nothing_is() {
-        let o = studied(|_, _| 0.0);
+        let o = of_rig(|_, _| 0.0);
         assert!(matches!(o.verdict, Verdict::None | Verdict::Retune), "{:?}", o.verdict);
     }
 
     #[test]
     fn a_curve_of_the_place_is_no_spring_beside_a_cogging() {
-        let cable = studied(|_, [_, x, ..]| 0.01 * x.powi(3));
+        let cable = of_rig(|_, [_, x, ..]| 0.01 * x.powi(3));
         assert_eq!(law(&cable), Some(Law::Curve), "{:?}", cable.strange);
         // of magnets under a slide two and a half periods are seen
-        let magnets = studied(|_, [_, x, ..]| 0.05 * x + 0.08 * (3.0 * x).sin());
+        let magnets = of_rig(|_, [_, x, ..]| 0.05 * x + 0.08 * (3.0 * x).sin());
         let mut names: Vec<_> = magnets.model.terms.iter().map(|t| t.kind.name()).collect();
         names.sort_unstable();
         assert_eq!((names, magnets.strange), (vec!["cogging", "spring_load"], None));
@@ -373,7 +368,7 @@ mod tests {
     fn a_friction_that_peaks_after_each_reversal_is_one() {
         // distance since the motion turned round, its sense, and the run
         let since = Cell::new((0.0, 0.0, 0));
-        let o = studied(|run, [_, _, w, ..]| {
+        let o = of_rig(|run, [_, _, w, ..]| {
             let (far, sense, before) = since.get();
             let goes_on = sense == w.signum() && run == before;
             since.set((if goes_on { far + w.abs() * 1e-3 } else { 0.0 }, w.signum(), run));
@@ -384,7 +379,7 @@ mod tests {
 
     #[test]
     fn a_flywheel_behind_a_one_way_clutch_is_none_of_the_list() {
-        let o = studied(|_, [_, _, w, a, _]| if w > 0.0 && a > 0.0 { 6.0 * INERTIA * a } else { 0.0 });
+        let o = of_rig(|_, [_, _, w, a, _]| if w > 0.0 && a > 0.0 { 6.0 * INERTIA * a } else { 0.0 });
         assert_eq!(o.verdict, Verdict::Unknown, "{:?}", o.strange);
     }
 
@@ -399,7 +394,7 @@ mod tests {
 
     #[test]
     fn a_strong_spring_hides_no_friction_that_falls_with_the_speed() {
-        let o = studied(|_, [_, x, w, ..]| 2.0 * x + 0.09 * (-w.abs() / 0.6).exp() * w.signum());
+        let o = of_rig(|_, [_, x, w, ..]| 2.0 * x + 0.09 * (-w.abs() / 0.6).exp() * w.signum());
         let mut names: Vec<_> = o.model.terms.iter().map(|t| t.kind.name()).collect();
         names.sort_unstable();
         assert_eq!((names, o.verdict), (vec!["spring_load", "stribeck"], Verdict::Named));
@@ -427,13 +422,13 @@ mod tests {
 
     #[test]
     fn laws_that_the_list_does_not_have_are_told() {
-        let tone = studied(|run, [t, ..]| 0.03 * (TAU * 7.3 * t + run as f64).sin());
+        let tone = of_rig(|run, [t, ..]| 0.03 * (TAU * 7.3 * t + run as f64).sin());
         assert!(
             matches!(law(&tone), Some(Law::Tone(hz)) if (hz - 7.3).abs() < 0.1),
             "{:?}",
             tone.strange
         );
-        let drift = studied(|_, [t, _, _, _, torque]| torque * 0.04 * t);
+        let drift = of_rig(|_, [t, _, _, _, torque]| torque * 0.04 * t);
         assert!(
             matches!(
                 law(&drift),
@@ -443,7 +438,7 @@ mod tests {
             drift.strange
         );
         // taken up and put down, each run at moments of its own
-        let payload = studied(|run, [t, _, _, a, _]| {
+        let payload = of_rig(|run, [t, _, _, a, _]| {
             let held = (2.0 + 0.3 * run as f64..5.0 + 0.4 * run as f64).contains(&t);
             if held { 0.6 * INERTIA * a } else { 0.0 }
         });
@@ -453,7 +448,7 @@ mod tests {
             "{:?}",
             payload.strange
         );
-        let linkage = studied(|_, [_, x, w, a, _]| 0.4 * INERTIA * (x.cos() * a - 0.5 * x.sin() * w * w));
+        let linkage = of_rig(|_, [_, x, w, a, _]| 0.4 * INERTIA * (x.cos() * a - 0.5 * x.sin() * w * w));
         assert!(
             matches!(law(&linkage), Some(Law::OfTurn)),
             "{:?} {:?}",
