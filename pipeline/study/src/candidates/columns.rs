@@ -318,19 +318,15 @@ pub fn contribution(kind: EffectKind, shape: &[f64], s: &Signals, c: &RigConstan
             out.fixed = driven(&Effect::new(kind, &shape[..1]), &turned, c);
         }
         EffectKind::CurrentGain => {
-            // linear in g/(1+g); the torque that the model expects stands for that of the measured
-            // current, whose noise would fit itself
-            let torque = (0..s.n).map(|k| {
-                c.inertia * s.accel[k] + c.effect.viscous * s.omega[k] + c.effect.coulomb * s.sign[k] + s.load[k]
-            });
-            let mut column = vec![Piece::of(Equation::Torque, 0, torque.collect())];
+            // linear in g/(1+g); in the torque that the model expects the motion's noise would stand as it does in the rows
             if s.voltage.is_some() && c.measured_current {
-                column.push(Piece::of(
-                    Equation::Electrical,
-                    0,
-                    s.drive.iter().map(|i| -c.effect.resistance * i).collect(),
-                ));
-                out.linear.push(column);
+                let current: Vec<f64> = (0..s.n).map(|k| drive(s, c, k)).collect();
+                let times = |by: f64| current.iter().map(|i| by * i).collect();
+                out.linear.push(vec![
+                    Piece::of(Equation::Torque, 0, times(c.effect.torque_constant)),
+                    Piece::of(Equation::Electrical, 0, times(-c.effect.resistance)),
+                    Piece::of(Equation::Electrical, 1, times(-c.effect.inductance)),
+                ]);
             }
         }
         EffectKind::Presliding => {

@@ -12,6 +12,9 @@ const HIGHEST: f64 = 1.0 / 16.0;
 const LOWEST_HZ: f64 = 0.02;
 /// Share of the greatest speed that is never called motion (assumed).
 const CREEP: f64 = 1e-3;
+/// Least and about greatest standard deviation of the smoother of the motion [samples] (assumed).
+const LEAST_SMOOTH: f64 = 1.5;
+const MOST_SMOOTH: f64 = 5.0;
 /// Greatest delay between channels that is looked for [s].
 pub const MOST_DELAY_S: f64 = 5e-3;
 
@@ -106,9 +109,36 @@ impl Clock {
             .flatten()
             .fold(0.0, |a: f64, w| a.max(w.abs()));
         let fastest = if of_position > 0.0 { of_position } else { of_velocity };
-        let mut smooth = 1.5;
-        while smooth < 5.0 && speed_noise_of(smooth) > 2e-4 * fastest {
-            smooth *= 1.3;
+        let sensor = if from_position {
+            BenchChannel::Position
+        } else {
+            BenchChannel::Velocity
+        };
+        let order = usize::from(from_position);
+        let seen: Vec<&[f64]> = runs.iter().filter_map(|r| r.channel(sensor)).collect();
+        // what a smoother takes from the motion itself, rms [rad/s]
+        let taken = |sigma: f64| {
+            let [wide, narrow] = [sigma, LEAST_SMOOTH].map(|s| FilterBank::smoother(s, rate_hz, 0.0));
+            let beyond = wide.order[order].beyond(&narrow.order[order]);
+            let half = beyond.half();
+            let of_run = |x: &[f64]| -> (f64, f64) {
+                let each = (half..x.len().saturating_sub(half)).step_by(3);
+                each.fold((0.0, 0.0), |(sum, n), k| (sum + beyond.at(x, k).powi(2), n + 1.0))
+            };
+            let (sum, n) = seen
+                .iter()
+                .map(|x| of_run(x))
+                .fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+            let of_noise = (get(sensor) * beyond.noise_gain()).powi(2);
+            (sum / f64::max(n, 1.0) - of_noise).max(0.0).sqrt()
+        };
+        let mut smooth = LEAST_SMOOTH;
+        while smooth < MOST_SMOOTH && speed_noise_of(smooth) > 2e-4 * fastest {
+            let next = smooth * 1.3;
+            if taken(next) > speed_noise_of(next) {
+                break;
+            }
+            smooth = next;
         }
         let stride = (rate_hz / (4.0 * corner_hz)).round().max(1.0) as usize;
         let drive_spec = bench.channel(rig.drive).expect("checked when read");
@@ -195,4 +225,29 @@ fn lateness(mean: bool, rate_hz: f64, delay_s: f64) -> f64 {
 /// Samples in a row of the electrical equation.
 pub fn window(rate_hz: f64) -> usize {
     ((WINDOW_S * rate_hz).round() as usize).max(FEWEST_IN_WINDOW)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::equations::signals::{Signals, noise_table};
+    use crate::measured::prescribed::{Sensor, axis};
+
+    #[test]
+    fn a_smoother_takes_no_more_of_the_motion_than_of_the_noise() {
+        let of = |rate_hz: f64| {
+            let (bench, runs) = axis(rate_hz, Sensor::Speed(0.3), false);
+            let all: Vec<&Run> = runs.iter().collect();
+            let clock = Clock::new(&bench, &all, &noise_table(&bench, &runs));
+            let s = Signals::new(&bench, all[0], &clock);
+            (clock.smooth, s)
+        };
+        // 0.1 s from rest to 140 rad/s
+        let (few, s) = of(200.0);
+        assert_eq!(few, LEAST_SMOOTH);
+        assert!(of(4000.0).0 > 4.0);
+        // the first move ends at 0.35 s: nothing is known of the friction before the smoothed speed has come to rest
+        assert!(s.resting[68..100].iter().all(|r| *r));
+        assert!(!s.resting[30..64].iter().any(|r| *r));
+    }
 }

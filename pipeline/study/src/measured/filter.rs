@@ -57,6 +57,16 @@ impl Kernel {
         rest + sum.iter().sum::<f64>()
     }
 
+    /// What passes this kernel but not a shorter one.
+    pub fn beyond(&self, shorter: &Self) -> Self {
+        let mut h = self.h.clone();
+        let from = self.half() - shorter.half();
+        for (h, s) in h[from..].iter_mut().zip(&shorter.h) {
+            *h -= s;
+        }
+        Self { h }
+    }
+
     fn convolved(&self, other: &Self) -> Self {
         let mut h = vec![0.0; self.h.len() + other.h.len() - 1];
         for (i, a) in self.h.iter().enumerate() {

@@ -290,23 +290,26 @@ fn solve_freely(p: &Problem, c: &RigConstants, nuisances: &[Nuisance], terms: &[
     // columns of the measured current beside the resistance's
     let first = p.base.len() + p.local.len();
     let trusts = trusts(terms, &regs);
-    let kinds = terms
+    let each = terms
         .iter()
         .zip(&regs)
-        .flat_map(|(t, r)| r.linear.iter().map(|_| t.kind));
-    let noisy: Vec<usize> = kinds
-        .enumerate()
-        .filter(|(_, k)| {
-            matches!(
-                k,
-                EffectKind::CurrentGain | EffectKind::WindingHeating | EffectKind::SupplySag
-            )
-        })
-        .map(|(i, _)| first + i)
-        .collect();
+        .flat_map(|(t, r)| r.linear.iter().map(move |_| t));
+    let places: Vec<(usize, &Term)> = each.enumerate().map(|(i, t)| (first + i, t)).collect();
+    let at = |of: &dyn Fn(&Term) -> bool| -> Vec<usize> {
+        let those = places.iter().filter(|x| of(x.1));
+        those.map(|x| x.0).collect()
+    };
+    let gains = at(&Term::is_gain_of_all);
+    let noisy = at(&|t| {
+        let of_current = matches!(
+            t.kind,
+            EffectKind::CurrentGain | EffectKind::WindingHeating | EffectKind::SupplySag
+        );
+        of_current && !t.is_gain_of_all()
+    });
     let (mut sigma, mut fit) = (sigma0, None);
     for _ in 0..3 {
-        let (x, residual) = weighted(p, (nuisances, &trusts), &columns, &y, &sigma, &noisy);
+        let (x, residual) = weighted(p, (nuisances, &trusts), &columns, &y, &sigma, (&noisy, &gains));
         let energy = p.energy(&residual);
         let amplitudes = trusts.iter().zip(&x[first..]);
         let of_amplitudes: f64 = amplitudes.filter_map(|(t, x)| Some((x / (*t)?).powi(2))).sum();
@@ -395,13 +398,14 @@ fn shared(p: &Problem, name: &str, sigma: &[f64; 5]) -> Vec<(&'static str, f64)>
 /// One weighted solution: coefficients and unweighted residual.
 ///
 /// * `noisy` columns beyond the nuisances' that hold the measured current as the resistance's does
+/// * `gains` and those that are all of the measured current, with the other sign
 fn weighted(
     p: &Problem,
     (nuisances, trusts): (&[Nuisance], &[Option<f64>]),
     columns: &[&Vec<f64>],
     y: &[f64],
     sigma: &[f64; 5],
-    noisy: &[usize],
+    (noisy, gains): (&[usize], &[usize]),
 ) -> (Vec<f64>, Vec<f64>) {
     let w = p.weights(sigma);
     let scaled: Vec<Vec<f64>> = columns
@@ -435,6 +439,13 @@ fn weighted(
     for (j, parts) in parts.iter().enumerate() {
         let noise: f64 = parts.iter().filter(|x| little(x.0)).map(|x| x.1).sum();
         right[j] -= noise / norms[j];
+    }
+    let noise_of = |names: &[&str]| -> f64 {
+        let all = names.iter().flat_map(|n| shared(p, n, sigma));
+        all.filter(|x| little(x.0)).map(|x| x.1).sum()
+    };
+    for &j in gains {
+        right[j] += (noise_of(&["drive_gain"]) + noise_of(&["between_samples"])) / norms[j];
     }
     if let Some(r) = nuisances
         .iter()
@@ -535,7 +546,7 @@ pub fn without_local(p: &Problem, r: Vec<f64>, sigma: &[f64; 5]) -> Vec<f64> {
         return r;
     }
     let columns: Vec<&Vec<f64>> = p.local.iter().collect();
-    weighted(p, (&[], &[]), &columns, &r, sigma, &[]).1
+    weighted(p, (&[], &[]), &columns, &r, sigma, (&[], &[])).1
 }
 
 /// The effect of a term, in its canonical parameters.

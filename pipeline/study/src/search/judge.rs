@@ -341,6 +341,9 @@ fn unshown(m: &Material, model: &Fit, next: &Fit) -> bool {
         && (excess <= 0.0 || model.score.energy[e] - next.score.energy[e] < LEAST_PART * excess)
 }
 
+/// Least energy of a play in the sensor behind it, over that of the sensor's noise (assumed).
+const LEAST_PLAY: f64 = 0.25;
+
 /// Whether all that the new terms add to the torque is next to nothing beside the drive's, and to no other equation
 /// anything.
 fn small(m: &Material, model: &Fit, next: &Fit) -> bool {
@@ -355,6 +358,13 @@ fn small(m: &Material, model: &Fit, next: &Fit) -> bool {
     let energy = p.energy(&all);
     // a spring bends before the user's sensor, whatever its torque
     touched |= energy[user] > p.sensor_energy(user);
+    // a play that is within the noise of the very sensor behind it is made of what the torque does as it turns round
+    let play = next.terms[model.terms.len()..]
+        .iter()
+        .any(|t| t.kind == EffectKind::Backlash);
+    if play && p.rows_of(Equation::Transmission) > 0 && energy[user] < LEAST_PLAY * p.sensor_energy(user) {
+        return true;
+    }
     !touched && energy[e] < LEAST_TORQUE.powi(2) * p.energy(&p.drive)[e]
 }
 

@@ -236,8 +236,9 @@ impl Material {
 
 #[cfg(test)]
 mod tests {
-    use crate::measured::prescribed::INERTIA;
-    use crate::search::study::of_rig;
+    use crate::measured::prescribed::{INERTIA, Sensor, axis};
+    use crate::search::select::Material;
+    use crate::search::study::{of_rig, study};
     use crate::search::verdict::Verdict;
     use sim_worker::effect::EffectKind;
     use std::cell::RefCell;
@@ -254,6 +255,27 @@ mod tests {
         );
         let found = o.model.terms[0].amplitudes[0];
         assert!((found / torque - 1.0).abs() < 0.1, "{found}");
+    }
+
+    /// Twenty samples of a move in which it stops from 5 rad/s: smoothed, it moves while it rests, with no friction.
+    #[test]
+    fn an_axis_that_stops_between_few_samples_is_plain() {
+        let (bench, runs) = axis(200.0, Sensor::Speed(0.3), false);
+        let o = study(Material::new(bench, runs, &[]), &|_| {});
+        assert_eq!((o.verdict, o.model.kinds()), (Verdict::Retune, vec![]));
+    }
+
+    /// The current of a warm winding is no gain of its sensor, which would take the torque's noise with it.
+    #[test]
+    fn a_warm_winding_is_no_gain_of_the_current() {
+        let (bench, runs) = axis(2000.0, Sensor::Angle(1e-4), true);
+        let o = study(Material::new(bench, runs, &[]), &|_| {});
+        assert_eq!(
+            (o.verdict, o.model.kinds()),
+            (Verdict::Named, vec![EffectKind::WindingHeating])
+        );
+        let kelvin = o.model.terms[0].amplitudes[0];
+        assert!((kelvin - 0.2 / 0.00393).abs() < 3.0, "{kelvin}");
     }
 
     /// A cogging goes with the acceleration: without it half of the inertia is seen, around which its torque is half.
