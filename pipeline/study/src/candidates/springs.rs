@@ -125,9 +125,16 @@ fn columns(shape: &[f64], s: &Signals, c: &RigConstants, swings: impl Fn(&[f64],
         all
     };
     let base = swings(&s.load, &vec![0.0; s.n]);
-    // drag and dry friction behind the spring, as a share of what there is in all
-    for (torque, most) in [(&s.omega, c.effect.viscous), (&s.sign, c.effect.coulomb)] {
-        let moved: Vec<f64> = torque.iter().map(|t| wide(most) * t).collect();
+    // drag and dry friction behind the spring, as a share of what there is in all; and of the load what acts on the motor instead
+    let times = |x: &[f64], by: f64| -> Vec<f64> { x.iter().map(|x| by * x).collect() };
+    let mut elsewhere = vec![
+        times(&s.omega, wide(c.effect.viscous)),
+        times(&s.sign, wide(c.effect.coulomb)),
+    ];
+    if s.has_load {
+        elsewhere.push(times(&s.load, -1.0));
+    }
+    for moved in elsewhere {
         let both: Vec<f64> = s.load.iter().zip(&moved).map(|(l, t)| l + t).collect();
         let (mut x, mut w) = swings(&both, &moved);
         x.iter_mut().zip(&base.0).for_each(|(x, b)| *x -= b);

@@ -16,6 +16,13 @@ pub const INERTIA: f64 = 1e-3;
 ///
 /// * `besides` by run, time, angle, speed, acceleration and the torque without it [s, rad, rad/s, rad/s2, N m]; in N m
 pub fn rig(besides: impl Fn(usize, [f64; 5]) -> f64) -> (Bench, Vec<Run>) {
+    under_load(besides, None)
+}
+
+/// The same under a load that acts on the motor and is recorded.
+///
+/// * `load` against the motion, by time [s]; in N m
+pub fn under_load(besides: impl Fn(usize, [f64; 5]) -> f64, load: Option<&dyn Fn(f64) -> f64>) -> (Bench, Vec<Run>) {
     let dir = tempfile::tempdir().unwrap();
     let mut bench = format!(
         "[rig]\nkind = \"rotary\"\ndrive = \"torque\"\ninertia = {{ value = {INERTIA}, unit = \"kg m2\", trust = 0.2 }}\n\
@@ -23,6 +30,9 @@ pub fn rig(besides: impl Fn(usize, [f64; 5]) -> f64) -> (Bench, Vec<Run>) {
          [channels]\ntime = {{ column = \"t\", unit = \"s\" }}\nposition = {{ column = \"x\", unit = \"rad\" }}\n\
          torque = {{ column = \"torque\", unit = \"N m\" }}\n"
     );
+    if load.is_some() {
+        bench += "load = { column = \"load\", unit = \"N m\" }\n";
+    }
     let mut white = noise();
     for run in 0..3 {
         let lines: Vec<[f64; 3]> = (0..4)
@@ -31,7 +41,12 @@ pub fn rig(besides: impl Fn(usize, [f64; 5]) -> f64) -> (Bench, Vec<Run>) {
                 [1.5 / (1.0 + f64::from(i)), TAU * hz, 0.7 * run as f64 + f64::from(i)]
             })
             .collect();
-        let mut csv = "t,x,torque\n".to_string();
+        let mut csv = if load.is_some() {
+            "t,x,torque,load\n"
+        } else {
+            "t,x,torque\n"
+        }
+        .to_string();
         for k in 0..8000 {
             let t = f64::from(k) * 1e-3;
             let (mut x, mut w, mut a) = (0.0, 0.0, 0.0);
@@ -41,7 +56,11 @@ pub fn rig(besides: impl Fn(usize, [f64; 5]) -> f64) -> (Bench, Vec<Run>) {
             }
             let torque = 1.05 * INERTIA * a + 5e-3 * w + 0.22 * w.signum();
             let torque = torque + besides(run, [t, x, w, a, torque]) + white(0.01);
-            writeln!(csv, "{t:.4},{:.8},{torque:.6}", x + white(2e-5)).unwrap();
+            write!(csv, "{t:.4},{:.8}", x + white(2e-5)).unwrap();
+            match load.map(|of| of(t)) {
+                Some(load) => writeln!(csv, ",{:.6},{load:.6}", torque + load).unwrap(),
+                None => writeln!(csv, ",{torque:.6}").unwrap(),
+            }
         }
         put(&dir, run, csv, &mut bench);
     }
