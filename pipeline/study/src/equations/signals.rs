@@ -13,8 +13,10 @@ use sim_worker::effect::Play;
 
 /// A sample is at rest below so many standard deviations of the smoothed speed.
 const AT_REST: f64 = 4.0;
-/// Samples over which the narrowest smoother of the motion smears where the friction turns over (assumed).
+/// Samples over which the narrowest smoother of the motion smears where the friction turns over, and how long a sample is from which
+/// that is more than the noise of rows so short [s] (assumed).
 const REACH: usize = 3;
+const LONG_SAMPLE_S: f64 = 0.0015;
 /// Rests that are interrupted for less than this are one [s] (assumed).
 const PAUSE_S: f64 = 0.006;
 /// A step of the drive signal over its usual one from which the mean over a sample is not known well enough
@@ -215,9 +217,11 @@ impl Signals {
         let within = one_winding.then(|| within(bench, run, clock, &theta));
         let (sign, mut resting) = directions(&omega, AT_REST * clock.speed_noise, (PAUSE_S * rate_hz) as usize);
         // as far as the narrowest smoother takes motion into a rest, or across a reversal; a wider one takes less than the noise
-        let was = std::mem::replace(&mut resting, vec![false; run.samples]);
-        for k in (0..was.len()).filter(|&k| was[k]) {
-            resting[k.saturating_sub(REACH)..(k + REACH + 1).min(run.samples)].fill(true);
+        if rate_hz * LONG_SAMPLE_S < 1.0 {
+            let was = std::mem::replace(&mut resting, vec![false; run.samples]);
+            for k in (0..was.len()).filter(|&k| was[k]) {
+                resting[k.saturating_sub(REACH)..(k + REACH + 1).min(run.samples)].fill(true);
+            }
         }
         // what lies in a gap of the clock is nothing that was measured; its neighbours are left out too, as far as the smoother reaches and until the filter has found the motion again
         for k in (0..run.lost.len()).filter(|&k| run.lost[k]) {
