@@ -76,28 +76,23 @@ impl Clock {
         } else {
             has(BenchChannel::Position)
         };
+        // the sensor that the motion is taken from, and which derivative of it the speed is
+        let (sensor, order) = match from_position {
+            true => (BenchChannel::Position, 1),
+            false => (BenchChannel::Velocity, 0),
+        };
         // the highest corner at which the acceleration does not drown the drive signal
         let mut corner_hz = HIGHEST * rate_hz;
         while corner_hz > (0.004 * rate_hz).max(LOWEST_HZ) {
             let bank = FilterBank::new(corner_hz, rate_hz, 0.0);
-            let a = if from_position {
-                get(BenchChannel::Position) * bank.order[2].noise_gain()
-            } else {
-                get(BenchChannel::Velocity) * bank.order[1].noise_gain()
-            };
+            let a = get(sensor) * bank.order[order + 1].noise_gain();
             if rig.inertia.value * a <= (drive * bank.order[0].noise_gain()).max(1e-300) {
                 break;
             }
             corner_hz *= 0.8;
         }
-        let speed_noise_of = |sigma: f64| {
-            let bank = FilterBank::smoother(sigma, rate_hz, 0.0);
-            if from_position {
-                get(BenchChannel::Position) * bank.order[1].noise_gain()
-            } else {
-                get(BenchChannel::Velocity) * bank.order[0].noise_gain()
-            }
-        };
+        let smoother = |sigma: f64| FilterBank::smoother(sigma, rate_hz, 0.0).order[order].clone();
+        let speed_noise_of = |sigma: f64| get(sensor) * smoother(sigma).noise_gain();
         let of_position = runs
             .iter()
             .filter_map(|r| r.channel(BenchChannel::Position))
@@ -109,17 +104,10 @@ impl Clock {
             .flatten()
             .fold(0.0, |a: f64, w| a.max(w.abs()));
         let fastest = if of_position > 0.0 { of_position } else { of_velocity };
-        let sensor = if from_position {
-            BenchChannel::Position
-        } else {
-            BenchChannel::Velocity
-        };
-        let order = usize::from(from_position);
         let seen: Vec<&[f64]> = runs.iter().filter_map(|r| r.channel(sensor)).collect();
         // what a smoother takes from the motion itself, rms [rad/s]
         let taken = |sigma: f64| {
-            let [wide, narrow] = [sigma, LEAST_SMOOTH].map(|s| FilterBank::smoother(s, rate_hz, 0.0));
-            let beyond = wide.order[order].beyond(&narrow.order[order]);
+            let beyond = smoother(sigma).beyond(&smoother(LEAST_SMOOTH));
             let half = beyond.half();
             let of_run = |x: &[f64]| -> (f64, f64) {
                 let each = (half..x.len().saturating_sub(half)).step_by(3);

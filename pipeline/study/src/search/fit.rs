@@ -436,16 +436,16 @@ fn weighted(
             .position(|n| n.name == owner)
             .is_some_and(|j| of(j) < MOST_SHARED * norms[j] * norms[j])
     };
+    let of = |parts: &[(&str, f64)]| -> f64 { parts.iter().filter(|x| little(x.0)).map(|x| x.1).sum() };
     for (j, parts) in parts.iter().enumerate() {
-        let noise: f64 = parts.iter().filter(|x| little(x.0)).map(|x| x.1).sum();
-        right[j] -= noise / norms[j];
+        right[j] -= of(parts) / norms[j];
     }
-    let noise_of = |names: &[&str]| -> f64 {
-        let all = names.iter().flat_map(|n| shared(p, n, sigma));
-        all.filter(|x| little(x.0)).map(|x| x.1).sum()
-    };
+    let of_current: f64 = ["drive_gain", "between_samples"]
+        .map(|n| of(&shared(p, n, sigma)))
+        .iter()
+        .sum();
     for &j in gains {
-        right[j] += (noise_of(&["drive_gain"]) + noise_of(&["between_samples"])) / norms[j];
+        right[j] += of_current / norms[j];
     }
     if let Some(r) = nuisances
         .iter()

@@ -348,8 +348,9 @@ const LEAST_PLAY: f64 = 0.25;
 /// anything.
 fn small(m: &Material, model: &Fit, next: &Fit) -> bool {
     let p = &m.fit;
+    let new = &next.terms[model.terms.len()..];
     let (mut all, mut touched) = (vec![0.0; p.rows], false);
-    for t in &next.terms[model.terms.len()..] {
+    for t in new {
         let c = intervals::contribution(p, m, t);
         all.iter_mut().zip(&c).for_each(|(a, c)| *a += c);
         touched |= !matches!(t.kind.equation(), Equation::Torque);
