@@ -8,7 +8,7 @@ use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -67,6 +67,15 @@ struct Network {
     address: String,
     /// sockets to the sender, and to the receiver
     pairs: Arc<Mutex<Vec<(TcpStream, TcpStream)>>>,
+    loss: Arc<Loss>,
+}
+
+/// What a dying connection takes with it.
+#[derive(Default)]
+struct Loss {
+    /// the next bytes from the sender do not arrive
+    due: AtomicBool,
+    done: AtomicBool,
 }
 
 impl Network {
@@ -74,31 +83,42 @@ impl Network {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let pairs = Arc::new(Mutex::new(Vec::new()));
-        let all = pairs.clone();
+        let loss = Arc::new(Loss::default());
+        let (all, lose) = (pairs.clone(), loss.clone());
         std::thread::spawn(move || {
             for near in listener.incoming().map_while(Result::ok) {
                 let Ok(far) = TcpStream::connect(&receiver) else { return };
-                for (from, to) in [(&near, &far), (&far, &near)] {
+                for (from, to, lose) in [(&near, &far, Some(lose.clone())), (&far, &near, None)] {
                     let (from, to) = (from.try_clone().unwrap(), to.try_clone().unwrap());
-                    std::thread::spawn(move || carry(from, to));
+                    std::thread::spawn(move || carry(from, to, lose.as_deref()));
                 }
                 all.lock().unwrap().push((near, far));
             }
         });
-        Self { address, pairs }
+        Self { address, pairs, loss }
     }
 
-    /// The sender's connection breaks, and the receiver does not hear of it.
+    /// The sender's connection breaks and takes with it what was under way; the receiver does not hear of it.
     fn cut(&self) {
+        self.loss.due.store(true, Ordering::Relaxed);
+        let start = Instant::now();
+        while !self.loss.done.load(Ordering::Relaxed) {
+            assert!(start.elapsed() < LIMIT, "nothing is sent");
+            std::thread::sleep(Duration::from_millis(1));
+        }
         let pairs = self.pairs.lock().unwrap();
         pairs.last().unwrap().0.shutdown(Shutdown::Both).unwrap();
     }
 }
 
-/// Carries bytes; an end is not passed on.
-fn carry(mut from: TcpStream, mut to: TcpStream) {
+/// Carries bytes until some are lost; an end is not passed on.
+fn carry(mut from: TcpStream, mut to: TcpStream, lose: Option<&Loss>) {
     let mut bytes = [0; 65536];
     while let Ok(n) = from.read(&mut bytes) {
+        if n > 0 && lose.is_some_and(|l| l.due.swap(false, Ordering::Relaxed)) {
+            lose.unwrap().done.store(true, Ordering::Relaxed);
+            return;
+        }
         if n == 0 || to.write_all(&bytes[..n]).is_err() {
             return;
         }
@@ -116,7 +136,7 @@ fn e2e_half_open_connection_does_not_stand_in_its_successors_way() {
     let (mut receiver, to) = receiver(&far, &["--idle", "60"]);
     let network = Network::to(to);
     let sender = sender(&near, &network.address, &[]);
-    let mut replay = replay(&near, &["--speed", "2"]);
+    let mut replay = replay(&near, &["--speed", "1"]);
     live.until("something so far", LIMIT, |p| !p.json().is_empty());
     network.cut();
     receiver.until("succession", LIMIT, |p| p.errors().contains("takes over"));
