@@ -260,6 +260,11 @@ struct Straight {
 ///
 /// `None` where a channel is missing or the fit has no solution.
 fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3]) -> Option<Straight> {
+    straight_where(bench, runs, corner, scale, f64::INFINITY)
+}
+
+/// The same where the drive signal is at most `most`.
+fn straight_where(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3], most: f64) -> Option<Straight> {
     use BenchChannel as C;
     let rig = &bench.rig;
     let mut g = nalgebra::Matrix4::<f64>::zeros();
@@ -281,7 +286,7 @@ fn straight(bench: &Bench, runs: &[&Run], corner: f64, scale: [f64; 3]) -> Optio
             let around = run.lost.iter().skip(k.saturating_sub(reach)).take(2 * reach + 1);
             around.into_iter().any(|l| *l)
         };
-        for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest && !near_gap(k)) {
+        for k in (0..w.len()).filter(|&k| w[k].abs() > 0.03 * fastest && u[k].abs() <= most && !near_gap(k)) {
             let x = nalgebra::Vector4::new(a[k] * scale[0], w[k] * scale[1], w[k].signum() * scale[2], 1.0);
             let y = u[k] * rig.drive_constant.value - load.as_ref().map_or(0.0, |l| l[k]);
             g += x * x.transpose();
@@ -324,6 +329,9 @@ const BRAKED: f64 = 0.1;
 /// Share of the torque's energy that no other term explains from which friction is told from a weight (assumed).
 const TELLS: f64 = 0.1;
 
+/// Share of the strongest drive signal up to which no torque saturates (assumed).
+const WEAK: f64 = 0.5;
+
 /// Cosine between torque and speed from which the drive is seen to do work (assumed): a spring and an inertia take none.
 const WORKS: f64 = 0.05;
 
@@ -365,8 +373,16 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
         let allowed = "torque, speed and position of one sense";
         return Ok(Some(Error::bad(&run.name, place, found, allowed)));
     }
-    if told && rig.inertia.value > 0.0 && rig.inertia.trust != Some(0.0) && !(0.25..4.0).contains(&x[0]) {
+    let alike = |ratio: f64| (0.25..4.0).contains(&ratio);
+    if told && rig.inertia.value > 0.0 && rig.inertia.trust != Some(0.0) && !alike(x[0]) {
         let ratio = x[0];
+        // a unit is the same at any current; a torque that saturates makes much of the inertia at strong ones alone
+        let drive = runs.iter().filter_map(|r| r.channel(rig.drive)).flatten();
+        let strongest = drive.fold(0.0, |m: f64, u| m.max(u.abs()));
+        let weak = straight_where(bench, runs, corner, scale, WEAK * strongest);
+        if weak.is_some_and(|w| alike(w.x[0])) {
+            return Ok(None);
+        }
         let same = rig.coulomb.value > 0.0 && (0.4..2.5).contains(&(x[2] / ratio));
         let of = if same {
             "of the drive signal or its constant"
@@ -407,6 +423,32 @@ mod tests {
         let (bench, runs) = rig(|_, [_, _, _, _, torque]| -2.0 * torque);
         let said = check(&bench, &runs).unwrap_err().to_string();
         assert!(said.contains("reversed sign"), "{said}");
+    }
+
+    /// A torque that saturates makes much of the inertia at strong signals alone; another unit makes it at any.
+    #[test]
+    fn a_torque_that_saturates_is_no_other_unit() {
+        // what the strongest accelerations ask for is ten times what the weak ones do
+        let (bench, runs) = rig(|_, [.., a, _]| INERTIA * a * (a / 60.0).powi(2));
+        let seen = |most: f64| {
+            let fit = straight_where(&bench, &[&runs[1]], NARROW, [INERTIA, 1.0, 1.0], most);
+            fit.unwrap().x[0]
+        };
+        let strongest = runs[1]
+            .channel(BenchChannel::Torque)
+            .unwrap()
+            .iter()
+            .fold(0.0, |m: f64, x| m.max(x.abs()));
+        assert!(
+            seen(strongest) > 4.0 && seen(WEAK * strongest) < 4.0,
+            "{} {}",
+            seen(strongest),
+            seen(WEAK * strongest)
+        );
+        check(&bench, &runs).unwrap();
+        let (bench, runs) = rig(|_, [.., a, _]| 5.0 * INERTIA * a);
+        let said = check(&bench, &runs).unwrap_err().to_string();
+        assert!(said.contains("a factor of 6"), "{said}");
     }
 
     /// A motor whose dry friction takes most of its voltage over a small resistance, recorded with another unit of it.

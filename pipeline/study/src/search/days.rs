@@ -96,6 +96,12 @@ mod tests {
             names(&o)
         );
         assert!(o.material.bench.rig.friction_of_day > 0.0);
+        // what a day makes of a friction does not hide it
+        let widths = crate::search::intervals::intervals(&o.material, &o.model).nuisance;
+        for name in ["coulomb", "viscous"] {
+            let at = o.material.nuisances.iter().position(|n| n.name == name).unwrap();
+            assert!(widths[at] < 0.1, "{name}: {}", widths[at]);
+        }
         let alike = studied([0.0; 3], |_| 0.0);
         assert!(alike.material.bench.rig.friction_of_day == 0.0);
     }

@@ -395,6 +395,33 @@ fn shared(p: &Problem, name: &str, sigma: &[f64; 5]) -> Vec<(&'static str, f64)>
     (0..5).flat_map(of).filter(|x| x.1 != 0.0).collect()
 }
 
+/// Noise that stands in the column of a constant, and in others that hold the same signal.
+pub struct Noise {
+    /// place of the constant
+    pub owner: usize,
+    /// place of each column that it stands in, and its product with the left-hand side, weighted
+    pub of: Vec<(usize, f64)>,
+}
+
+/// The noise of each constant's column.
+pub fn noises(p: &Problem, nuisances: &[Nuisance], sigma: &[f64; 5]) -> Vec<Noise> {
+    let parts: Vec<Vec<(&str, f64)>> = nuisances.iter().map(|n| shared(p, n.name, sigma)).collect();
+    let of_owner = |(owner, n): (usize, &Nuisance)| {
+        let of = |(i, parts): (usize, &Vec<(&str, f64)>)| {
+            let sum: f64 = parts.iter().filter(|x| x.0 == n.name).map(|x| x.1).sum();
+            (sum != 0.0).then_some((i, sum))
+        };
+        let of: Vec<(usize, f64)> = parts.iter().enumerate().filter_map(of).collect();
+        (!of.is_empty()).then_some(Noise { owner, of })
+    };
+    nuisances.iter().enumerate().filter_map(of_owner).collect()
+}
+
+/// Whether noise is so small a share of a column's energy that it was taken out of the solution.
+pub fn is_taken_out(share: f64) -> bool {
+    share < MOST_SHARED
+}
+
 /// One weighted solution: coefficients and unweighted residual.
 ///
 /// * `noisy` columns beyond the nuisances' that hold the measured current as the resistance's does
@@ -434,7 +461,7 @@ fn weighted(
         nuisances
             .iter()
             .position(|n| n.name == owner)
-            .is_some_and(|j| of(j) < MOST_SHARED * norms[j] * norms[j])
+            .is_some_and(|j| is_taken_out(of(j) / (norms[j] * norms[j])))
     };
     let of = |parts: &[(&str, f64)]| -> f64 { parts.iter().filter(|x| little(x.0)).map(|x| x.1).sum() };
     for (j, parts) in parts.iter().enumerate() {

@@ -27,6 +27,12 @@ const LEAST_PLAY: f64 = 1e-3;
 /// Of a rig every size of an effect no better than this share, one sigma (assumed: what filters, interpolation and means over samples leave; of
 /// 94 of a tenth hand's 17 % had been off by more than their interval, seven of these by less than 0.5 %).
 const LEAST_KNOWN: f64 = 3e-3;
+/// What the noise in a constant's own column makes of the constants, of which so much is uncertain where it was taken out of the
+/// solution, and where there was too much of it for that (assumed: it shrinks them, one way, so that 95 % of it is a little more than it
+/// all); the rest of the column is a signal at least.
+const TAKEN_OUT: f64 = 0.15;
+const LEFT_IN: f64 = 0.6;
+const LEAST_SIGNAL: f64 = 0.2;
 /// Widening for the few blocks and the shapes chosen by the same data (assumed).
 const WIDER: f64 = 1.15;
 
@@ -184,10 +190,12 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
         .terms
         .iter()
         .flat_map(|t| t.amplitudes.iter().map(|_| columns::trust(t.kind)));
+    let of_runs = p.local_trust.iter().enumerate().map(|(i, t)| (kept + i, *t));
     let beliefs: Vec<(usize, f64)> = nuisances
         .chain(amplitudes)
         .enumerate()
-        .filter_map(|(i, t)| Some((i, 1.0 / t?.max(1e-9) / norm[i])))
+        .chain(of_runs)
+        .filter_map(|(i, t)| Some((i, 1.0 / t?.max(1e-12) / norm[i])))
         .collect();
     for (i, b) in &beliefs {
         h[(*i, *i)] += b * b;
@@ -238,7 +246,7 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
         a += &x * x.transpose();
     }
     // how far another law of each effect would move all, as much of it as the data allow
-    let moved: Vec<DVector<f64>> = otherwise(p, m, fit, of)
+    let mut moved: Vec<DVector<f64>> = otherwise(p, m, fit, of)
         .iter()
         .map(|d| {
             let weighted: Vec<f64> = d.iter().zip(&w).map(|(d, w)| d * w).collect();
@@ -256,6 +264,22 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
             x * share.min(1.0)
         })
         .collect();
+    // and what the noise in the constants' own columns makes of them all, as far as it was left there
+    moved.extend(fit::noises(p, &m.nuisances, &fit.sigma).iter().filter_map(|noise| {
+        let share = noise.of.iter().find(|o| o.0 == noise.owner)?.1.abs() / norm[noise.owner].powi(2);
+        let left = if fit::is_taken_out(share) { TAKEN_OUT } else { LEFT_IN };
+        let mut right = DVector::zeros(count);
+        for (i, x) in &noise.of {
+            right[*i] = x / norm[*i];
+        }
+        let x = &inverse * right * (left / (1.0 - share).max(LEAST_SIGNAL));
+        let x = DVector::from_fn(count, |i, _| x[i] / norm[i]);
+        // no farther than what is believed of it
+        let (n, at) = (&m.nuisances[noise.owner], fit.nuisance[noise.owner]);
+        let most = n.trust.map_or(f64::INFINITY, |t| t + (at - n.centre).abs() / NORMAL_95);
+        let far = x[noise.owner].abs();
+        Some(x * (most / far.max(1e-300)).min(1.0))
+    }));
     let by_law = |i: usize, k: usize| -> f64 { moved.iter().map(|x| x[i] * x[k]).sum() };
     let runs = by_run.len() as f64;
     let fitted = m.fit.signals.len() as f64;

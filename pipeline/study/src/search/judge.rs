@@ -30,6 +30,8 @@ pub(super) const SLOW_EXCESS: f64 = 1.5;
 const SLOWER_PART: f64 = 0.8;
 /// Smallest share of the transmission's excess that a spring in it must explain; of the torque's, where that is on time (assumed).
 const LEAST_BENT: f64 = 0.5;
+/// Least share of the rig's inertia behind a spring (assumed).
+const LEAST_LOAD: f64 = 2e-3;
 /// Most damping ratio of its resonance, of a rig (assumed); the search goes a little further.
 const MOST_DAMPED_SHAFT: f64 = 0.2;
 /// Gap of the transmission over its noise from which a load is not where it is thought to be (assumed).
@@ -197,6 +199,8 @@ pub(super) fn judged(m: &Material, model: &Fit, next: &Fit, gain: f64, ranked: &
         TWICE
     } else if unbent(m, model, next) {
         "the user's side does not bend as it asks"
+    } else if weightless(m, model, next) {
+        "its load has next to no inertia"
     } else if unheard(m, model, next) {
         UNHEARD
     } else if otherwise_loose(m, model, next) {
@@ -254,6 +258,12 @@ fn unbent(m: &Material, model: &Fit, next: &Fit) -> bool {
     let e = Equation::Transmission.index();
     let (before, after, noise) = (model.score.energy[e], next.score.energy[e], m.fit.sensor_energy(e));
     before < WORTH * noise || before - after < LEAST_BENT * (before - noise)
+}
+
+/// Whether a new spring has a load that a user's sensor alone would notice: nothing bends a spring with nothing behind it.
+fn weightless(m: &Material, model: &Fit, next: &Fit) -> bool {
+    let mut new = next.terms[model.terms.len()..].iter();
+    new.any(|t| t.kind == EffectKind::Compliance && t.shape[2] < LEAST_LOAD * m.constants.inertia)
 }
 
 /// Whether a new spring that no second sensor sees is hardly heard in the torque.

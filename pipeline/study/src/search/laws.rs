@@ -50,13 +50,7 @@ impl Material {
     /// A model whose torque saturates, with a flux that does (without phases: by the square of the current) where that tells the
     /// data better. A scan sees little of the difference: constants turn with the loss of torque, and only where all are solved for again do weak currents say whether they lose any.
     fn by_another_iron(&self, model: Fit) -> Fit {
-        let runs = &self.fit.signals;
-        let phases = runs.iter().all(|s| s.phases.is_some());
-        let other = if phases {
-            vec![shapes::strongest(runs)]
-        } else {
-            shapes::SQUARE.to_vec()
-        };
+        let other = self.other_iron();
         let saturated = |t: &mut Term| {
             let by_torque = t.kind == EffectKind::TorqueSaturation && t.shape.is_empty();
             if by_torque {
@@ -65,6 +59,29 @@ impl Material {
             by_torque
         };
         self.if_better(model, saturated)
+    }
+
+    /// Shape of a saturation that is not by the torque.
+    fn other_iron(&self) -> Vec<f64> {
+        let runs = &self.fit.signals;
+        if runs.iter().all(|s| s.phases.is_some()) {
+            vec![shapes::strongest(runs)]
+        } else {
+            shapes::SQUARE.to_vec()
+        }
+    }
+
+    /// A model whose torque saturates, with the other law of it: which it is may show only beside what else takes torque. `None`
+    /// where it does not saturate.
+    pub(super) fn of_another_iron(&self, model: &Fit) -> Option<Fit> {
+        let mut terms = model.terms.clone();
+        let t = terms.iter_mut().find(|t| t.kind == EffectKind::TorqueSaturation)?;
+        t.shape = if t.shape.is_empty() {
+            self.other_iron()
+        } else {
+            Vec::new()
+        };
+        Some(self.solve(&terms, model.sigma))
     }
 
     /// A model whose bristles slide at the dynamic friction, with those that break away at the actuator's static one where that tells

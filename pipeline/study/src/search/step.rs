@@ -22,7 +22,9 @@ const PAIRS: usize = 4;
 const AS_WELL: f64 = 0.95;
 /// Rounds in which a candidate's constants are carried into its equations.
 const ROUNDS: usize = 3;
-/// Candidates that are looked at beside the supply's other law.
+/// Width of a tight spot that is begun again, over the one before.
+const WIDER_SPOT: f64 = 1.3;
+/// Candidates that are looked at beside the other law of an effect that is there.
 const OTHER_LEADERS: usize = 2;
 /// Log-likelihood by which a rival must fall behind, and share of the gain where the best leaves a gap (assumed).
 const RIVAL: f64 = 5.0;
@@ -98,7 +100,8 @@ impl Material {
     fn refined(&self, model: &Fit, ranked: &[Ranked]) -> Vec<(Fit, f64)> {
         let refined = |model: &Fit, r: &Ranked| self.polish(&self.with(model, &r.term), 1);
         let mut fits: Vec<Fit> = leaders(ranked).map(|r| refined(model, r)).collect();
-        if let Some(other) = self.of_the_other_voltage(model) {
+        let others = [self.of_the_other_voltage(model), self.of_another_iron(model)];
+        for other in others.into_iter().flatten() {
             let beside = self.scan(&other, EffectKind::ALL);
             fits.extend(beside.iter().take(OTHER_LEADERS).map(|r| refined(&other, r)));
         }
@@ -152,7 +155,8 @@ impl Material {
                 let taken = Tried::of(step, next.clone());
                 return Some(Tried { rivals, ..taken });
             }
-            if let Some(instead) = self.in_place(model, next, ranked) {
+            let again = (step.why_not == TWICE).then(|| self.elsewhere(model, next, ranked));
+            if let Some(instead) = again.flatten().or_else(|| self.in_place(model, next, ranked)) {
                 return Some(instead);
             }
             let same_again = [TWICE, OTHERWISE].contains(&step.why_not);
@@ -207,6 +211,33 @@ impl Material {
         }
         let gain = penalised(self, &instead) - penalised(self, &less);
         let step = judged(self, &less, &instead, gain, ranked);
+        step.accepted.then(|| Tried::of(step, instead))
+    }
+
+    /// A tight spot of the model begun again where the new one beside it is, and between both, where one of these tells more than the model:
+    /// one that was found while something else was missing may have settled beside where it is.
+    fn elsewhere(&self, model: &Fit, next: &Fit, ranked: &[Ranked]) -> Option<Tried> {
+        let spot = |t: &Term| t.kind == EffectKind::TightSpot;
+        let new = Some(last(next)).filter(|t| spot(t))?;
+        let at = model.terms.iter().position(spot)?;
+        let less = self.dropped(model, at);
+        let (there, width) = (model.terms[at].shape[0], model.terms[at].shape[1]);
+        let starts = [new.shape[0], 0.5 * (there + new.shape[0])];
+        let tries = starts.iter().flat_map(|c| [width, WIDER_SPOT * width].map(|w| [*c, w]));
+        let fits = tries.map(|shape| {
+            let mut term = model.terms[at].clone();
+            term.shape[..2].copy_from_slice(&shape);
+            let mut terms = less.terms.clone();
+            terms.push(term);
+            self.polish(&self.solve(&terms, model.sigma), 2)
+        });
+        let (told, instead) = fits
+            .map(|f| (penalised(self, &f), f))
+            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if told <= penalised(self, model) + LEAST_GAIN {
+            return None;
+        }
+        let step = judged(self, &less, &instead, told - penalised(self, &less), ranked);
         step.accepted.then(|| Tried::of(step, instead))
     }
 
