@@ -237,8 +237,9 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
     let mut files: Vec<&str> = runs.iter().map(|r| r.hash.as_str()).collect();
     files.dedup();
     for hash in files {
-        let of_file = |r: &&Run| r.hash == hash && !r.steady && r.role != Role::Baseline;
-        drive(bench, &runs.iter().filter(of_file).collect::<Vec<_>>())?;
+        let moving = |r: &&Run| !r.steady && r.role != Role::Baseline;
+        let (own, others): (Vec<&Run>, Vec<&Run>) = runs.iter().filter(moving).partition(|r| r.hash == hash);
+        drive(bench, &own, &others)?;
     }
     Ok(())
 }
@@ -316,10 +317,12 @@ const WIDE: f64 = 0.03;
 const NARROW: f64 = 0.008;
 
 /// The drive signal against the torque that the nominal constants ask for, over the runs of a file.
-fn drive(bench: &Bench, runs: &[&Run]) -> Result<()> {
-    drive_at(bench, runs, WIDE)?.map_or(Ok(()), |wide| {
+///
+/// * `others` those of the other files
+fn drive(bench: &Bench, runs: &[&Run], others: &[&Run]) -> Result<()> {
+    drive_at(bench, (runs, others), WIDE)?.map_or(Ok(()), |wide| {
         // noise of the acceleration shrinks an inertia, the less the narrower the band
-        drive_at(bench, runs, NARROW)?.map_or(Ok(()), |_| Err(wide))
+        drive_at(bench, (runs, others), NARROW)?.map_or(Ok(()), |_| Err(wide))
     })
 }
 
@@ -332,11 +335,14 @@ const TELLS: f64 = 0.1;
 /// Share of the strongest drive signal up to which no torque saturates (assumed).
 const WEAK: f64 = 0.5;
 
+/// Share of the torque's energy that a straight fit leaves where something else goes with the acceleration (assumed).
+const MUCH_LEFT: f64 = 0.1;
+
 /// Cosine between torque and speed from which the drive is seen to do work (assumed): a spring and an inertia take none.
 const WORKS: f64 = 0.05;
 
 /// The mistake that is seen with a corner at this share of the sampling rate.
-fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> {
+fn drive_at(bench: &Bench, (runs, others): (&[&Run], &[&Run]), corner: f64) -> Result<Option<Error>> {
     use BenchChannel as C;
     let rig = &bench.rig;
     let (Some(spec), Some(run)) = (bench.channel(rig.drive), runs.first()) else {
@@ -383,6 +389,12 @@ fn drive_at(bench: &Bench, runs: &[&Run], corner: f64) -> Result<Option<Error>> 
         if weak.is_some_and(|w| alike(w.x[0])) {
             return Ok(None);
         }
+        // what goes with the acceleration in this file alone, and leaves much of its torque, is an effect
+        let left = 1.0 - x.dot(&r) / energy.max(1e-300);
+        let of_others = straight(bench, others, corner, scale);
+        if left > MUCH_LEFT && (0.1..10.0).contains(&ratio) && of_others.is_some_and(|o| alike(o.x[0])) {
+            return Ok(None);
+        }
         let same = rig.coulomb.value > 0.0 && (0.4..2.5).contains(&(x[2] / ratio));
         let of = if same {
             "of the drive signal or its constant"
@@ -414,7 +426,7 @@ mod tests {
         check(&bench, &runs).unwrap();
         // one that leaves hardly anything for friction neither
         let (bench, runs) = rig(|_, [_, x, ..]| 1.5 * x);
-        let braked = drive_at(&bench, &[&runs[0]], NARROW).unwrap();
+        let braked = drive_at(&bench, (&[&runs[0]], &[]), NARROW).unwrap();
         assert!(braked.is_none(), "{braked:?}");
         check(&bench, &runs).unwrap();
         let (bench, runs) = rig(|_, [_, x, _, _, torque]| -2.0 * torque - 1.5 * x);
@@ -449,6 +461,18 @@ mod tests {
         let (bench, runs) = rig(|_, [.., a, _]| 5.0 * INERTIA * a);
         let said = check(&bench, &runs).unwrap_err().to_string();
         assert!(said.contains("a factor of 6"), "{said}");
+        // nor is one of a file's own that goes with the acceleration for a part, unless little else is in it
+        for (rest, alone, refused) in [(0.5, true, false), (0.5, false, true), (0.01, true, true)] {
+            let (bench, runs) = rig(|run, [_, x, _, a, _]| {
+                let here = run == 1 || !alone;
+                if here {
+                    5.0 * INERTIA * a + rest * (9.0 * x).sin()
+                } else {
+                    0.0
+                }
+            });
+            assert_eq!(check(&bench, &runs).is_err(), refused, "{rest} {alone}");
+        }
     }
 
     /// A motor whose dry friction takes most of its voltage over a small resistance, recorded with another unit of it.
