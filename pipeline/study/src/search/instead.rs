@@ -3,15 +3,17 @@
 use crate::candidates::shapes::has_order;
 use crate::equations::problem::Problem;
 use crate::equations::signals::Signals;
-use crate::search::fit::Term;
+use crate::search::fit::{Fit, Term};
 use crate::search::trial::{CLEAR, Trial, torque_column};
 use crate::search::unlisted::{Law, Left, Unlisted, tone, turned};
-use sim_worker::effect::EffectKind;
+use sim_worker::effect::{EffectKind, Equation};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Share of what an effect leaves below which a law in its place must come (assumed: in the place of true ones 1.03 and more, of others up
 /// to 0.93).
 const INSTEAD: f64 = 0.97;
+/// What position and velocity are apart without an effect, over what they are with it, squared, from which the motion shows it (assumed).
+const PARTED: f64 = 2.0;
 /// Share of what is left without a spring below which one tone brings it that does not stop (assumed: springs have none that stands out).
 const RINGS: f64 = 0.5;
 /// Share of what two effects explain that a torque of one direction may leave which is both, with half of their parameters (assumed).
@@ -73,6 +75,11 @@ fn instead(trial: &Trial, term: usize) -> Option<Unlisted> {
         return None;
     }
     let less = m.without(trial.model, term);
+    // two sensors of the motion that part without it: no torque does that
+    let parted = |f: &Fit| f.score.energy[Equation::Kinematic.index()];
+    if kind == EffectKind::EncoderEccentricity && parted(&less) > PARTED * parted(trial.model) {
+        return None;
+    }
     let trial = trial.of(&less);
     let all = trial.left();
     let (law, rest) = if swings {
