@@ -245,6 +245,7 @@ pub fn check(bench: &Bench, runs: &[Run]) -> Result<()> {
 }
 
 /// A straight fit of inertia, viscous and dry friction and a constant to smoothed signals.
+#[derive(Clone, Copy)]
 struct Straight {
     /// coefficients of the terms
     x: nalgebra::Vector4<f64>,
@@ -254,6 +255,13 @@ struct Straight {
     r: nalgebra::Vector4<f64>,
     /// of the torque
     energy: f64,
+}
+
+impl Straight {
+    /// Share of the torque's energy that a term makes.
+    fn share(&self, term: usize) -> f64 {
+        self.x[term].powi(2) * self.g[(term, term)] / self.energy.max(1e-300)
+    }
 }
 
 /// * `corner` of the smoothing, as a share of the sampling rate
@@ -326,6 +334,9 @@ fn drive(bench: &Bench, runs: &[&Run], others: &[&Run]) -> Result<()> {
     })
 }
 
+/// Share of the torque's energy from which an inertia tells something (assumed).
+const TOLD: f64 = 0.02;
+
 /// Share of the torque's energy from which friction is seen to brake (assumed).
 const BRAKED: f64 = 0.1;
 
@@ -357,12 +368,12 @@ fn drive_at(bench: &Bench, (runs, others): (&[&Run], &[&Run]), corner: f64) -> R
         return Err(Error::bad(&run.name, "channels", found, "one of them"));
     }
     let scale = [rig.inertia.value, rig.viscous.value, rig.coulomb.value].map(|x| x.max(1e-12));
-    let Some(Straight { x, g, r, energy }) = straight(bench, runs, corner, scale) else {
+    let Some(fit) = straight(bench, runs, corner, scale) else {
         return Ok(None);
     };
-    // share of the torque's energy that a term makes: too little of the inertia's tells nothing
-    let share = |term: usize| x[term] * x[term] * g[(term, term)] / energy.max(1e-300);
-    let (told, frictional) = (share(0) > 0.02, share(2));
+    let share = |term: usize| fit.share(term);
+    let Straight { x, g, r, energy } = fit;
+    let (told, frictional) = (share(0) > TOLD, share(2));
     // an axis that mostly goes one way cannot tell friction from weight: what friction alone explains decides there
     let by_itself = g.try_inverse().map_or(0.0, |v| 1.0 / v[(2, 2)].max(1e-300));
     let by_friction = x[2] * x[2] * by_itself / energy.max(1e-300);
@@ -386,7 +397,7 @@ fn drive_at(bench: &Bench, (runs, others): (&[&Run], &[&Run]), corner: f64) -> R
         let drive = runs.iter().filter_map(|r| r.channel(rig.drive)).flatten();
         let strongest = drive.fold(0.0, |m: f64, u| m.max(u.abs()));
         let weak = straight_where(bench, runs, corner, scale, WEAK * strongest);
-        if weak.is_some_and(|w| alike(w.x[0])) {
+        if weak.is_some_and(|w| alike(w.x[0]) && w.share(0) > TOLD) {
             return Ok(None);
         }
         // what goes with the acceleration in this file alone, and leaves much of its torque, is an effect
