@@ -67,15 +67,8 @@ struct Network {
     address: String,
     /// sockets to the sender, and to the receiver
     pairs: Arc<Mutex<Vec<(TcpStream, TcpStream)>>>,
-    loss: Arc<Loss>,
-}
-
-/// What a dying connection takes with it.
-#[derive(Default)]
-struct Loss {
-    /// the next bytes from the sender do not arrive
-    due: AtomicBool,
-    done: AtomicBool,
+    /// the next bytes from a sender do not arrive
+    losing: Arc<AtomicBool>,
 }
 
 impl Network {
@@ -83,8 +76,8 @@ impl Network {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let pairs = Arc::new(Mutex::new(Vec::new()));
-        let loss = Arc::new(Loss::default());
-        let (all, lose) = (pairs.clone(), loss.clone());
+        let losing = Arc::new(AtomicBool::default());
+        let (all, lose) = (pairs.clone(), losing.clone());
         std::thread::spawn(move || {
             for near in listener.incoming().map_while(Result::ok) {
                 let Ok(far) = TcpStream::connect(&receiver) else { return };
@@ -95,14 +88,14 @@ impl Network {
                 all.lock().unwrap().push((near, far));
             }
         });
-        Self { address, pairs, loss }
+        Self { address, pairs, losing }
     }
 
     /// The sender's connection breaks and takes with it what was under way; the receiver does not hear of it.
     fn cut(&self) {
-        self.loss.due.store(true, Ordering::Relaxed);
+        self.losing.store(true, Ordering::Relaxed);
         let start = Instant::now();
-        while !self.loss.done.load(Ordering::Relaxed) {
+        while self.losing.load(Ordering::Relaxed) {
             assert!(start.elapsed() < LIMIT, "nothing is sent");
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -112,14 +105,11 @@ impl Network {
 }
 
 /// Carries bytes until some are lost; an end is not passed on.
-fn carry(mut from: TcpStream, mut to: TcpStream, lose: Option<&Loss>) {
+fn carry(mut from: TcpStream, mut to: TcpStream, losing: Option<&AtomicBool>) {
     let mut bytes = [0; 65536];
     while let Ok(n) = from.read(&mut bytes) {
-        if n > 0 && lose.is_some_and(|l| l.due.swap(false, Ordering::Relaxed)) {
-            lose.unwrap().done.store(true, Ordering::Relaxed);
-            return;
-        }
-        if n == 0 || to.write_all(&bytes[..n]).is_err() {
+        let lost = n > 0 && losing.is_some_and(|l| l.swap(false, Ordering::Relaxed));
+        if n == 0 || lost || to.write_all(&bytes[..n]).is_err() {
             return;
         }
     }

@@ -328,9 +328,9 @@ const NARROW: f64 = 0.008;
 ///
 /// * `others` those of the other files
 fn drive(bench: &Bench, runs: &[&Run], others: &[&Run]) -> Result<()> {
-    drive_at(bench, (runs, others), WIDE)?.map_or(Ok(()), |wide| {
+    drive_at(bench, runs, others, WIDE)?.map_or(Ok(()), |wide| {
         // noise of the acceleration shrinks an inertia, the less the narrower the band
-        drive_at(bench, (runs, others), NARROW)?.map_or(Ok(()), |_| Err(wide))
+        drive_at(bench, runs, others, NARROW)?.map_or(Ok(()), |_| Err(wide))
     })
 }
 
@@ -353,7 +353,7 @@ const MUCH_LEFT: f64 = 0.1;
 const WORKS: f64 = 0.05;
 
 /// The mistake that is seen with a corner at this share of the sampling rate.
-fn drive_at(bench: &Bench, (runs, others): (&[&Run], &[&Run]), corner: f64) -> Result<Option<Error>> {
+fn drive_at(bench: &Bench, runs: &[&Run], others: &[&Run], corner: f64) -> Result<Option<Error>> {
     use BenchChannel as C;
     let rig = &bench.rig;
     let (Some(spec), Some(run)) = (bench.channel(rig.drive), runs.first()) else {
@@ -437,7 +437,7 @@ mod tests {
         check(&bench, &runs).unwrap();
         // one that leaves hardly anything for friction neither
         let (bench, runs) = rig(|_, [_, x, ..]| 1.5 * x);
-        let braked = drive_at(&bench, (&[&runs[0]], &[]), NARROW).unwrap();
+        let braked = drive_at(&bench, &[&runs[0]], &[], NARROW).unwrap();
         assert!(braked.is_none(), "{braked:?}");
         check(&bench, &runs).unwrap();
         let (bench, runs) = rig(|_, [_, x, _, _, torque]| -2.0 * torque - 1.5 * x);
@@ -451,7 +451,7 @@ mod tests {
     /// A torque that saturates makes much of the inertia at strong signals alone; another unit makes it at any.
     #[test]
     fn a_torque_that_saturates_is_no_other_unit() {
-        // what the strongest accelerations ask for is ten times what the weak ones do
+        // the inertia that is seen grows with the square of the acceleration
         let (bench, runs) = rig(|_, [.., a, _]| INERTIA * a * (a / 60.0).powi(2));
         let seen = |most: f64| {
             let fit = straight_where(&bench, &[&runs[1]], NARROW, [INERTIA, 1.0, 1.0], most);

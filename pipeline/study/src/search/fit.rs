@@ -403,6 +403,22 @@ pub struct Noise {
     pub of: Vec<(usize, f64)>,
 }
 
+impl Noise {
+    /// Share of the energy of the constant's own column.
+    ///
+    /// * `norms` of all columns
+    pub fn share(&self, norms: &[f64]) -> f64 {
+        let own = self.of.iter().find(|o| o.0 == self.owner).map_or(0.0, |o| o.1);
+        own.abs() / norms[self.owner].powi(2)
+    }
+
+    /// Whether it is taken out of a solution: where noise is much of what is seen, there is nothing to be corrected, in any column that
+    /// holds it.
+    pub fn is_taken_out(&self, norms: &[f64]) -> bool {
+        self.share(norms) < MOST_SHARED
+    }
+}
+
 /// The noise of each constant's column.
 pub fn noises(p: &Problem, nuisances: &[Nuisance], sigma: &[f64; 5]) -> Vec<Noise> {
     let parts: Vec<Vec<(&str, f64)>> = nuisances.iter().map(|n| shared(p, n.name, sigma)).collect();
@@ -415,11 +431,6 @@ pub fn noises(p: &Problem, nuisances: &[Nuisance], sigma: &[f64; 5]) -> Vec<Nois
         (!of.is_empty()).then_some(Noise { owner, of })
     };
     nuisances.iter().enumerate().filter_map(of_owner).collect()
-}
-
-/// Whether noise is so small a share of a column's energy that it was taken out of the solution.
-pub fn is_taken_out(share: f64) -> bool {
-    share < MOST_SHARED
 }
 
 /// One weighted solution: coefficients and unweighted residual.
@@ -454,35 +465,30 @@ fn weighted(
     let mut right = DVector::from_fn(n, |i, _| dot(&scaled[i], &yw) / norms[i]);
     believe(&mut gram, &mut right, p, (nuisances, trusts), &norms);
     // noise that stands in the left-hand side and in a column
-    let parts: Vec<Vec<(&str, f64)>> = nuisances.iter().map(|n| shared(p, n.name, sigma)).collect();
-    // where the noise is most of what is seen, there is nothing to be corrected, in any column that holds it
-    let little = |owner: &str| {
-        let of = |j: usize| parts[j].iter().filter(|x| x.0 == owner).map(|x| x.1).sum::<f64>().abs();
-        nuisances
-            .iter()
-            .position(|n| n.name == owner)
-            .is_some_and(|j| is_taken_out(of(j) / (norms[j] * norms[j])))
-    };
-    let of = |parts: &[(&str, f64)]| -> f64 { parts.iter().filter(|x| little(x.0)).map(|x| x.1).sum() };
-    for (j, parts) in parts.iter().enumerate() {
-        right[j] -= of(parts) / norms[j];
+    let mut taken_out = noises(p, nuisances, sigma);
+    taken_out.retain(|noise| noise.is_taken_out(&norms));
+    let mut of_columns = vec![0.0; nuisances.len()];
+    for (j, x) in taken_out.iter().flat_map(|noise| &noise.of) {
+        of_columns[*j] += x;
     }
+    for (j, x) in of_columns.iter().enumerate() {
+        right[j] -= x / norms[j];
+    }
+    let of_owner = |owner: &str| taken_out.iter().find(|noise| nuisances[noise.owner].name == owner);
     let of_current: f64 = ["drive_gain", "between_samples"]
-        .map(|n| of(&shared(p, n, sigma)))
+        .map(|n| {
+            let parts = shared(p, n, sigma).into_iter();
+            parts.filter(|x| of_owner(x.0).is_some()).map(|x| x.1).sum::<f64>()
+        })
         .iter()
         .sum();
     for &j in gains {
         right[j] += of_current / norms[j];
     }
-    if let Some(r) = nuisances
-        .iter()
-        .position(|n| n.name == "resistance")
-        .filter(|_| little("resistance"))
-    {
-        let noise: f64 = parts[r].iter().map(|x| x.1).sum();
+    if let Some(r) = of_owner("resistance").map(|noise| noise.owner) {
         for &j in noisy {
             // by as much as it is the resistance's column once more
-            right[j] -= noise * gram[(j, r)] / norms[r];
+            right[j] -= of_columns[r] * gram[(j, r)] / norms[r];
         }
     }
     let x = gram.cholesky().map_or_else(|| DVector::zeros(n), |c| c.solve(&right));

@@ -7,7 +7,7 @@ use crate::candidates::laws;
 use crate::candidates::shapes;
 use crate::equations::problem::Problem;
 use crate::measured::sums::{add, dot};
-use crate::search::fit::{self, Fit, Term};
+use crate::search::fit::{self, Fit, Noise, Term};
 use crate::search::select::Material;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -153,6 +153,27 @@ fn otherwise(p: &Problem, m: &Material, fit: &Fit, but: Option<usize>) -> Vec<Ve
     terms.filter_map(|(_, t)| Some(p.column(&of(t)?))).collect()
 }
 
+/// What the noise in each constant's own column makes of all parameters, as far as it is left there; no farther than what is believed of
+/// the constant.
+///
+/// * `inverse` of the normal equations, whose columns are divided by `norm`
+fn shrunk(m: &Material, fit: &Fit, inverse: &DMatrix<f64>, norm: &[f64]) -> Vec<DVector<f64>> {
+    let of = |noise: &Noise| {
+        let left = if noise.is_taken_out(norm) { TAKEN_OUT } else { LEFT_IN };
+        let mut right = DVector::zeros(norm.len());
+        for (i, x) in &noise.of {
+            right[*i] = x / norm[*i];
+        }
+        let x = inverse * right * (left / (1.0 - noise.share(norm)).max(LEAST_SIGNAL));
+        let x = DVector::from_fn(norm.len(), |i, _| x[i] / norm[i]);
+        let (n, at) = (&m.nuisances[noise.owner], fit.nuisance[noise.owner]);
+        let most = n.trust.map_or(f64::INFINITY, |t| t + (at - n.centre).abs() / NORMAL_95);
+        let far = x[noise.owner].abs();
+        x * (most / far.max(1e-300)).min(1.0)
+    };
+    fit::noises(&m.fit, &m.nuisances, &fit.sigma).iter().map(of).collect()
+}
+
 /// Moves one number of a term.
 type Change = Box<dyn Fn(&mut Term, f64)>;
 
@@ -190,11 +211,11 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
         .terms
         .iter()
         .flat_map(|t| t.amplitudes.iter().map(|_| columns::trust(t.kind)));
-    let of_runs = p.local_trust.iter().enumerate().map(|(i, t)| (kept + i, *t));
+    let of_single_runs = p.local_trust.iter().enumerate().map(|(i, t)| (kept + i, *t));
     let beliefs: Vec<(usize, f64)> = nuisances
         .chain(amplitudes)
         .enumerate()
-        .chain(of_runs)
+        .chain(of_single_runs)
         .filter_map(|(i, t)| Some((i, 1.0 / t?.max(1e-12) / norm[i])))
         .collect();
     for (i, b) in &beliefs {
@@ -245,8 +266,8 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
         let x = inverse.column(*i) * (BELIEF * b);
         a += &x * x.transpose();
     }
-    // how far another law of each effect would move all, as much of it as the data allow
-    let mut moved: Vec<DVector<f64>> = otherwise(p, m, fit, of)
+    // how far another law of each effect would move all, as much of it as the data allow, and what noise does
+    let moved: Vec<DVector<f64>> = otherwise(p, m, fit, of)
         .iter()
         .map(|d| {
             let weighted: Vec<f64> = d.iter().zip(&w).map(|(d, w)| d * w).collect();
@@ -263,23 +284,8 @@ pub fn intervals_by_law(m: &Material, fit: &Fit, of: Option<usize>) -> Intervals
             let share = (along * along + scatter.max(size)).sqrt() / size.max(1e-300);
             x * share.min(1.0)
         })
+        .chain(shrunk(m, fit, &inverse, &norm))
         .collect();
-    // and what the noise in the constants' own columns makes of them all, as far as it was left there
-    moved.extend(fit::noises(p, &m.nuisances, &fit.sigma).iter().filter_map(|noise| {
-        let share = noise.of.iter().find(|o| o.0 == noise.owner)?.1.abs() / norm[noise.owner].powi(2);
-        let left = if fit::is_taken_out(share) { TAKEN_OUT } else { LEFT_IN };
-        let mut right = DVector::zeros(count);
-        for (i, x) in &noise.of {
-            right[*i] = x / norm[*i];
-        }
-        let x = &inverse * right * (left / (1.0 - share).max(LEAST_SIGNAL));
-        let x = DVector::from_fn(count, |i, _| x[i] / norm[i]);
-        // no farther than what is believed of it
-        let (n, at) = (&m.nuisances[noise.owner], fit.nuisance[noise.owner]);
-        let most = n.trust.map_or(f64::INFINITY, |t| t + (at - n.centre).abs() / NORMAL_95);
-        let far = x[noise.owner].abs();
-        Some(x * (most / far.max(1e-300)).min(1.0))
-    }));
     let by_law = |i: usize, k: usize| -> f64 { moved.iter().map(|x| x[i] * x[k]).sum() };
     let runs = by_run.len() as f64;
     let fitted = m.fit.signals.len() as f64;

@@ -74,14 +74,14 @@ impl Material {
     /// A model whose torque saturates, with the other law of it: which it is may show only beside what else takes torque. `None`
     /// where it does not saturate.
     pub(super) fn of_another_iron(&self, model: &Fit) -> Option<Fit> {
-        let mut terms = model.terms.clone();
-        let t = terms.iter_mut().find(|t| t.kind == EffectKind::TorqueSaturation)?;
-        t.shape = if t.shape.is_empty() {
-            self.other_iron()
-        } else {
-            Vec::new()
-        };
-        Some(self.solve(&terms, model.sigma))
+        let (other, by_torque) = (self.other_iron(), Vec::new());
+        self.changed(model, |t| {
+            let saturates = t.kind == EffectKind::TorqueSaturation;
+            if saturates {
+                t.shape = if t.shape.is_empty() { &other } else { &by_torque }.clone();
+            }
+            saturates
+        })
     }
 
     /// A model whose bristles slide at the dynamic friction, with those that break away at the actuator's static one where that tells
@@ -106,11 +106,13 @@ impl Material {
         if self.bench.has_phases() {
             return None;
         }
-        let mut terms = model.terms.clone();
-        let is_seen = |t: &&mut Term| t.kind == EffectKind::SupplySag && matches!(t.shape[0], 0.0 | 1.0);
-        let sag = terms.iter_mut().find(is_seen)?;
-        sag.shape[0] = 1.0 - sag.shape[0];
-        Some(self.solve(&terms, model.sigma))
+        self.changed(model, |t| {
+            let is_seen = t.kind == EffectKind::SupplySag && matches!(t.shape[0], 0.0 | 1.0);
+            if is_seen {
+                t.shape[0] = 1.0 - t.shape[0];
+            }
+            is_seen
+        })
     }
 
     /// A model whose spring differs by less than the sensors' noise wherever the motor is, with the constant torque in which that is at ease.
@@ -137,6 +139,13 @@ impl Material {
         self.polish(&self.solve(&terms, model.sigma), 1)
     }
 
+    /// A model with terms changed, and solved again; `None` where none is one that changes.
+    fn changed(&self, model: &Fit, change: impl Fn(&mut Term) -> bool) -> Option<Fit> {
+        let mut terms = model.terms.clone();
+        let any = terms.iter_mut().map(change).filter(|changed| *changed).count() > 0;
+        any.then(|| self.solve(&terms, model.sigma))
+    }
+
     /// A model with terms changed, and solved again, where that tells the data better.
     fn if_better(&self, model: Fit, change: impl Fn(&mut Term) -> bool) -> Fit {
         self.unless_worse(model, 0.0, change)
@@ -147,11 +156,10 @@ impl Material {
     /// * `by` log-likelihood that it may lose
     /// * `change` of a term; whether it is one that changes
     fn unless_worse(&self, model: Fit, by: f64, change: impl Fn(&mut Term) -> bool) -> Fit {
-        let mut terms = model.terms.clone();
-        if terms.iter_mut().map(change).filter(|changed| *changed).count() == 0 {
+        let Some(changed) = self.changed(&model, change) else {
             return model;
-        }
-        let changed = self.polish(&self.solve(&terms, model.sigma), 2);
+        };
+        let changed = self.polish(&changed, 2);
         if penalised(self, &changed) > penalised(self, &model) - by {
             changed
         } else {

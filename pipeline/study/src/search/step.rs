@@ -22,7 +22,7 @@ const PAIRS: usize = 4;
 const AS_WELL: f64 = 0.95;
 /// Rounds in which a candidate's constants are carried into its equations.
 const ROUNDS: usize = 3;
-/// Width of a tight spot that is begun again, over the one before.
+/// Width of a tight spot that is begun again, over the one before (assumed).
 const WIDER_SPOT: f64 = 1.3;
 /// Candidates that are looked at beside the other law of an effect that is there.
 const OTHER_LEADERS: usize = 2;
@@ -206,11 +206,18 @@ impl Material {
         let mut terms = less.terms.clone();
         terms.extend_from_slice(&next.terms[model.terms.len()..]);
         let instead = self.polish(&self.solve(&terms, next.sigma), 1);
-        if penalised(self, &instead) <= penalised(self, model) {
+        self.better(model, &less, instead, 0.0, ranked)
+    }
+
+    /// What stands in the place of a term of the model, where it tells more than that by so much and is not refused.
+    ///
+    /// * `less` the model without the term
+    fn better(&self, model: &Fit, less: &Fit, instead: Fit, by: f64, ranked: &[Ranked]) -> Option<Tried> {
+        let told = penalised(self, &instead);
+        if told <= penalised(self, model) + by {
             return None;
         }
-        let gain = penalised(self, &instead) - penalised(self, &less);
-        let step = judged(self, &less, &instead, gain, ranked);
+        let step = judged(self, less, &instead, told - penalised(self, less), ranked);
         step.accepted.then(|| Tried::of(step, instead))
     }
 
@@ -231,14 +238,10 @@ impl Material {
             terms.push(term);
             self.polish(&self.solve(&terms, model.sigma), 2)
         });
-        let (told, instead) = fits
+        let best = fits
             .map(|f| (penalised(self, &f), f))
-            .max_by(|a, b| a.0.total_cmp(&b.0))?;
-        if told <= penalised(self, model) + LEAST_GAIN {
-            return None;
-        }
-        let step = judged(self, &less, &instead, told - penalised(self, &less), ranked);
-        step.accepted.then(|| Tried::of(step, instead))
+            .max_by(|a, b| a.0.total_cmp(&b.0));
+        self.better(model, &less, best?.1, LEAST_GAIN, ranked)
     }
 
     /// The best of the leading candidates, each around the constants that it comes to: those of the model may be far from there, friction
