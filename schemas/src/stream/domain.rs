@@ -6,7 +6,7 @@ use iceoryx2::config::Config;
 use iceoryx2::node::{DeadNodeView, NodeState, NodeView};
 use iceoryx2::prelude::*;
 use iceoryx2::service::Service;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -180,14 +180,14 @@ impl Domain {
         }
     }
 
-    /// Files of this domain that somebody is making, or has died while making: iceoryx2 gives
+    /// Files of this domain that somebody is making or removing, or has died while at it, and for how long: iceoryx2 gives
     /// shared memory its read permission, and takes a service description's write permission away,
     /// when they are complete.
     fn half_made(&self) -> Vec<(PathBuf, Duration)> {
         const READABLE: u32 = 0o400;
         const WRITABLE: u32 = 0o200;
         let services = self.config.global.service_dir().to_string();
-        let mut found = Vec::new();
+        let (mut found, mut described) = (Vec::new(), Vec::new());
         for (dir, is_service) in [("/dev/shm", false), (services.as_str(), true)] {
             for e in self.files_in(Path::new(dir)) {
                 let Ok(data) = e.metadata() else { continue };
@@ -200,13 +200,32 @@ impl Domain {
                 if !complete {
                     let age = data.modified().ok().and_then(|t| t.elapsed().ok());
                     found.push((e.path(), age.unwrap_or_default()));
+                } else if is_service && let Some(number) = number_of_service(&e.path()) {
+                    described.push((e.path(), number));
                 }
             }
         }
+        found.extend(self.half_removed(described));
         found
     }
 
-    /// Removes what has been half made for longer than making takes: iceoryx2 0.10 waits for its
+    /// Descriptions of services whose shared memory is not there, and for how long this process has seen them so: iceoryx2 makes it
+    /// before a description is complete, and removes it before the description.
+    ///
+    /// * `described` complete descriptions and the numbers of their services
+    fn half_removed(&self, mut described: Vec<(PathBuf, u128)>) -> Vec<(PathBuf, Duration)> {
+        static SEEN: Mutex<BTreeMap<u128, Instant>> = Mutex::new(BTreeMap::new());
+        // after the descriptions were read
+        for e in self.files_in(Path::new("/dev/shm")) {
+            let name = e.file_name().to_string_lossy().into_owned();
+            described.retain(|(_, number)| !name.ends_with(&format!("_{number}.dynamic")));
+        }
+        let Ok(mut seen) = SEEN.lock() else { return Vec::new() };
+        let age = |(path, number)| (path, seen.entry(number).or_insert_with(Instant::now).elapsed());
+        described.into_iter().map(age).collect()
+    }
+
+    /// Removes what has been half made, or half removed, for longer than that takes: iceoryx2 0.10 waits for its
     /// maker, who is dead, without end. Returns whether nothing half made is left. One process at a
     /// time: who removes an old file must not meet the new one.
     fn mend(&self) -> bool {
@@ -316,6 +335,14 @@ impl Domain {
     }
 }
 
+/// Number in the names of a service's shared memory, by its description; `None` where it is not of iceoryx2 0.10.
+fn number_of_service(description: &Path) -> Option<u128> {
+    let table: toml::Table = std::fs::read_to_string(description).ok()?.parse().ok()?;
+    let id = table.get("unique_service_id")?;
+    let part = |key: &str| u128::try_from(id.get(key)?.as_integer()?).ok();
+    Some((part("unique_value")? << 64) | part("payload_value")?)
+}
+
 /// `ema::NAME/VERSION/LAYOUT` for people.
 fn version(type_name: &str) -> String {
     let mut parts = type_name.split('/');
@@ -362,5 +389,30 @@ mod tests {
             std::fs::remove_file(f).unwrap();
         }
         let _ = std::fs::remove_file(shm("_9204dd183d1c4d8e1ff592a30766ffa6765aa8b5_node.0_10_0.global_mgmt"));
+    }
+
+    /// Who removes a service takes its shared memory first and its description last, and may die in between.
+    #[test]
+    fn a_service_that_is_half_removed_is_made_anew() {
+        let domain = Domain::new(&format!("unit-{}-torn", std::process::id())).unwrap();
+        let node = domain.node().unwrap();
+        let dynamic = |d: &Domain| -> Vec<PathBuf> {
+            let all = d.files_in(Path::new("/dev/shm")).map(|e| e.path());
+            all.filter(|p| p.extension().is_some_and(|e| e == "dynamic")).collect()
+        };
+        let first = domain.events(&node, "torn").unwrap();
+        let files = dynamic(&domain);
+        assert_eq!(files.len(), 1);
+        // one that is whole stays, however long it stands
+        std::thread::sleep(domain.config.global.creation_timeout + MENDING_EVERY);
+        assert_eq!(dynamic(&domain), files);
+        std::fs::remove_file(&files[0]).unwrap();
+        let other = domain.node().unwrap();
+        let again = domain.events(&other, "torn").unwrap();
+        assert_eq!(dynamic(&domain).len(), 1);
+        drop((again, first, other, node));
+        domain
+            .files_in(Path::new("/dev/shm"))
+            .for_each(|e| drop(std::fs::remove_file(e.path())));
     }
 }
