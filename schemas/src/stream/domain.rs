@@ -21,6 +21,8 @@ const LONGEST: usize = 32;
 /// Longest wait for half-made services, and the time between two looks for them.
 const MENDING: Duration = Duration::from_secs(5);
 const MENDING_EVERY: Duration = Duration::from_millis(500);
+/// Least of the numbers that no two makers have: they have more than 20 digits.
+const UNIQUE: u128 = 10_u128.pow(20);
 
 /// A node's folder that nothing else has told of for so long is nobody's.
 const ORPHANED: Duration = Duration::from_secs(10);
@@ -134,13 +136,9 @@ impl Domain {
         if self.config.global.prefix == Config::global_config().global.prefix {
             return;
         }
-        let is_numbered = |name: &str| {
-            let number = name.rsplit_once('.').and_then(|(stem, _)| stem.rsplit_once('_'));
-            number.is_some_and(|(_, n)| n.len() > 20 && n.bytes().all(|b| b.is_ascii_digit()))
-        };
         let all = self.files_in(Path::new("/dev/shm"));
         let numbered: Vec<PathBuf> = all
-            .filter(|e| is_numbered(&e.file_name().to_string_lossy()))
+            .filter(|e| number_in(&e.file_name().to_string_lossy()).is_some_and(|n| n >= UNIQUE))
             .map(|e| e.path())
             .collect();
         // after they were found: whoever has one of them and lives is in the list
@@ -182,14 +180,22 @@ impl Domain {
 
     /// Files of this domain that somebody is making or removing, or has died while at it, and for how long: iceoryx2 gives
     /// shared memory its read permission, and takes a service description's write permission away,
-    /// when they are complete.
+    /// when they are complete. A service's memory is there before its description is complete, and is removed before it.
     fn half_made(&self) -> Vec<(PathBuf, Duration)> {
         const READABLE: u32 = 0o400;
         const WRITABLE: u32 = 0o200;
         let services = self.config.global.service_dir().to_string();
-        let (mut found, mut described) = (Vec::new(), Vec::new());
-        for (dir, is_service) in [("/dev/shm", false), (services.as_str(), true)] {
+        let (mut found, mut without_memory) = (Vec::new(), BTreeMap::new());
+        // memory after the descriptions that tell of it
+        for (dir, is_service) in [(services.as_str(), true), ("/dev/shm", false)] {
             for e in self.files_in(Path::new(dir)) {
+                let name = e.file_name();
+                let name = name.to_string_lossy();
+                if name.ends_with(".dynamic")
+                    && let Some(number) = number_in(&name)
+                {
+                    without_memory.remove(&number);
+                }
                 let Ok(data) = e.metadata() else { continue };
                 let mode = data.permissions().mode();
                 let complete = if is_service {
@@ -201,28 +207,13 @@ impl Domain {
                     let age = data.modified().ok().and_then(|t| t.elapsed().ok());
                     found.push((e.path(), age.unwrap_or_default()));
                 } else if is_service && let Some(number) = number_of_service(&e.path()) {
-                    described.push((e.path(), number));
+                    without_memory.insert(number, e.path());
                 }
             }
         }
-        found.extend(self.half_removed(described));
+        let aged = |(number, path)| (path, seen_for(number));
+        found.extend(without_memory.into_iter().map(aged));
         found
-    }
-
-    /// Descriptions of services whose shared memory is not there, and for how long this process has seen them so: iceoryx2 makes it
-    /// before a description is complete, and removes it before the description.
-    ///
-    /// * `described` complete descriptions and the numbers of their services
-    fn half_removed(&self, mut described: Vec<(PathBuf, u128)>) -> Vec<(PathBuf, Duration)> {
-        static SEEN: Mutex<BTreeMap<u128, Instant>> = Mutex::new(BTreeMap::new());
-        // after the descriptions were read
-        for e in self.files_in(Path::new("/dev/shm")) {
-            let name = e.file_name().to_string_lossy().into_owned();
-            described.retain(|(_, number)| !name.ends_with(&format!("_{number}.dynamic")));
-        }
-        let Ok(mut seen) = SEEN.lock() else { return Vec::new() };
-        let age = |(path, number)| (path, seen.entry(number).or_insert_with(Instant::now).elapsed());
-        described.into_iter().map(age).collect()
     }
 
     /// Removes what has been half made, or half removed, for longer than that takes: iceoryx2 0.10 waits for its
@@ -333,6 +324,22 @@ impl Domain {
         }
         failed(service, "cannot be opened", why)
     }
+}
+
+/// Number at the end of a name in shared memory, before its suffix; `None` where there is none.
+fn number_in(name: &str) -> Option<u128> {
+    let (stem, _) = name.rsplit_once('.')?;
+    let (_, number) = stem.rsplit_once('_')?;
+    number.parse().ok()
+}
+
+/// For how long this process has seen the service of a number without its memory.
+fn seen_for(number: u128) -> Duration {
+    static SEEN: Mutex<BTreeMap<u128, Instant>> = Mutex::new(BTreeMap::new());
+    let seen = SEEN
+        .lock()
+        .map(|mut seen| seen.entry(number).or_insert_with(Instant::now).elapsed());
+    seen.unwrap_or_default()
 }
 
 /// Number in the names of a service's shared memory, by its description; `None` where it is not of iceoryx2 0.10.
